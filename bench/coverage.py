@@ -28,7 +28,7 @@ from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify, Options
-from gms_flex_control.identification.result import known_presliding, known_values
+from gms_flex_control.identification.outcome import known_presliding, known_values
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams

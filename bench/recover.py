@@ -19,7 +19,7 @@ from gms_flex_control.experiment.identification_plan import read_identification_
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import controller_file, robot_file, share_path, write_text
 from gms_flex_control.identification.identify import identify
-from gms_flex_control.identification.result import (
+from gms_flex_control.identification.outcome import (
     Estimate,
     Interval,
     known_values,

@@ -22,8 +22,8 @@ from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.result import Discrepancy
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.identification import identify as identification
+from gms_flex_control.identification.outcome import Identification
 from gms_flex_control.identification.output import report_json
-from gms_flex_control.identification.result import Identification
 from gms_flex_control.params.arm import ArmParams, in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams

@@ -17,8 +17,8 @@ from gms_flex_control.errors import GmsFlexError, IdentificationError
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.identification.assumed_robot import rigid_joints
+from gms_flex_control.identification.check_basis import filtered, rigid_torque
 from gms_flex_control.identification.recording_checks import check, require
-from gms_flex_control.identification.torque_checks import filtered, rigid_torque
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EncoderParams, RobotParams

@@ -4,7 +4,7 @@
 """Which numbers of a joint are flagged as not identifiable, however narrow their intervals."""
 
 from gms_flex_control.identification.coordinates import Coordinates
-from gms_flex_control.identification.result import NOT_IDENTIFIABLE
+from gms_flex_control.identification.outcome import NOT_IDENTIFIABLE
 from gms_flex_control.identification.uncertainty import clustered, estimates_of, Spread
 import numpy as np
 import pytest

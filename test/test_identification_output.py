@@ -7,18 +7,18 @@ from dataclasses import replace
 import json
 
 from gms_flex_control.file_io import controller_file, robot_file
-from gms_flex_control.identification.output import (
-    friction_values,
-    report_json,
-    write_friction,
-    write_report_json,
-)
-from gms_flex_control.identification.result import (
+from gms_flex_control.identification.outcome import (
     Estimate,
     Interval,
     joint_sentences,
     notes,
     standing,
+)
+from gms_flex_control.identification.output import (
+    friction_values,
+    report_json,
+    write_friction,
+    write_report_json,
 )
 from gms_flex_control.schema.files import load_controller, load_robot, read_parameters
 from identified import ERRORS, identification

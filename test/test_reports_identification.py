@@ -11,7 +11,7 @@ import warnings
 
 from gms_flex_control.answer import Answer
 from gms_flex_control.file_io import robot_file
-from gms_flex_control.identification.result import FrictionMap, Interval
+from gms_flex_control.identification.outcome import FrictionMap, Interval
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.reports.page import Curve, Report, Series

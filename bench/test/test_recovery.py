@@ -8,7 +8,7 @@ import math
 
 from bench.__main__ import main
 from bench.recover import as_values, from_values, missed_of, recovered, table, Trial
-from gms_flex_control.identification.result import Estimate, Interval
+from gms_flex_control.identification.outcome import Estimate, Interval
 from gms_flex_control.schema.build import controller_values
 from gms_flex_control.schema.files import save_robot, save_values
 from identified_axis import axis, GAINS

@@ -41,7 +41,7 @@ from gms_flex_control.discrepancy.thresholds import (
 )
 from gms_flex_control.discrepancy.validation import Gain, gain_of, prediction_cost
 from gms_flex_control.effects.registry import find
-from gms_flex_control.identification.result import CONFIDENT
+from gms_flex_control.identification.outcome import CONFIDENT
 import numpy as np
 
 _ALIKE = 0.96         # of what an effect explains: another that explains so much is alike

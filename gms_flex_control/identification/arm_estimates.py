@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from gms_flex_control.identification.arm_differences import Coupled, Differences, FoundLoad
 from gms_flex_control.identification.arm_regression import BaseFit
-from gms_flex_control.identification.result import CONFIDENT, Estimate, estimated
+from gms_flex_control.identification.outcome import CONFIDENT, Estimate, estimated
 import numpy as np
 
 _WIDE = 0.5         # half an interval this large a part of the value says nothing

@@ -34,7 +34,7 @@ from gms_flex_control.identification.base_parameters import (
     fit_chain,
     nearest_arm,
 )
-from gms_flex_control.identification.result import CONFIDENT, estimated
+from gms_flex_control.identification.outcome import CONFIDENT, estimated
 from gms_flex_control.identification.segments import filled
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams

@@ -37,10 +37,7 @@ from gms_flex_control.identification.inertial_parameters import (
     nearest_arm,
     UNITS,
 )
-from gms_flex_control.identification.segments import (
-    drive_sides,
-    rigid_where,
-)
+from gms_flex_control.identification.segments import drive_sides, rigid_where
 from gms_flex_control.identification.uncertainty import block_sums, clustered, inverse_of
 from gms_flex_control.params.arm import ArmParams, at_end, carrying
 from gms_flex_control.params.robot import RobotParams

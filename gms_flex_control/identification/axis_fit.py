@@ -28,8 +28,8 @@ from gms_flex_control.data.signal_analysis import derivative_window, smoothed, s
 from gms_flex_control.effects.catalogue.motor import TorqueRipple
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.objective import BLOCK_TIME
+from gms_flex_control.identification.outcome import CONFIDENT
 from gms_flex_control.identification.prediction_error import FEWEST_WAVES
-from gms_flex_control.identification.result import CONFIDENT
 from gms_flex_control.identification.uncertainty import block_sums
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np

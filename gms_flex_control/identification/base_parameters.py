@@ -15,7 +15,7 @@ from dataclasses import replace
 
 from gms_flex_control.dynamics.chain import constants_of
 from gms_flex_control.identification.axis_fit import filtered, friction_regressors, robust
-from gms_flex_control.identification.result import CONFIDENT, estimated
+from gms_flex_control.identification.outcome import CONFIDENT, estimated
 from gms_flex_control.identification.uncertainty import block_sums
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import RobotParams

@@ -9,7 +9,7 @@ import warnings
 
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.result import FrictionMap
+from gms_flex_control.identification.outcome import FrictionMap
 from gms_flex_control.identification.segments import filled, Segment, torque_at_samples
 from gms_flex_control.params.arm import ArmParams
 import numpy as np

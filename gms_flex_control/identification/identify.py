@@ -16,6 +16,7 @@ from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.arm_regression import fit_differences
 from gms_flex_control.identification.assumed_robot import believed_model, cleared
+from gms_flex_control.identification.contest import choose_fit, simple_theta
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS, STATICS
 from gms_flex_control.identification.friction_map import friction_map, repeatability, start_of
 from gms_flex_control.identification.multi_start import fit_all
@@ -27,6 +28,7 @@ from gms_flex_control.identification.objective import (
     Objective,
     observer_bandwidth,
 )
+from gms_flex_control.identification.outcome import Identification, JointResult
 from gms_flex_control.identification.paper.method import NOT_HELD_OUT, paper_fits
 from gms_flex_control.identification.prediction_error import (
     coupling_sentences,
@@ -37,7 +39,6 @@ from gms_flex_control.identification.prediction_error import (
     traces_of,
 )
 from gms_flex_control.identification.recording_checks import require
-from gms_flex_control.identification.result import Identification, JointResult
 from gms_flex_control.identification.segments import (
     drive_sides,
     half_count,
@@ -47,7 +48,7 @@ from gms_flex_control.identification.segments import (
     segments_of,
     travel,
 )
-from gms_flex_control.identification.selection import CANDIDATES, choose_fit, simple_theta
+from gms_flex_control.identification.selection import CANDIDATES
 from gms_flex_control.identification.uncertainty import (
     curve_of,
     estimates_of,

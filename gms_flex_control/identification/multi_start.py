@@ -24,12 +24,7 @@ from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.friction_map import Start
 from gms_flex_control.identification.least_squares import prior_of, refine, total_cost
 from gms_flex_control.identification.objective import Bundle, coarser, Objective, train
-from gms_flex_control.identification.selection import (
-    CANDIDATES,
-    fit_again,
-    fit_joint,
-    JointFit,
-)
+from gms_flex_control.identification.selection import CANDIDATES, fit_again, fit_joint, JointFit
 import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student

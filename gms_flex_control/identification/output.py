@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from gms_flex_control import __version__
 from gms_flex_control.file_io import plain, write_json
-from gms_flex_control.identification.result import (
+from gms_flex_control.identification.outcome import (
     CONFIDENT,
     data_sentence,
     Identification,

@@ -17,7 +17,7 @@ from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.objective import Bundle, Objective
-from gms_flex_control.identification.result import HeldOut, Loop, Trace
+from gms_flex_control.identification.outcome import HeldOut, Loop, Trace
 from gms_flex_control.identification.segments import moving, smooth_angle, standing
 import numpy as np
 

@@ -35,7 +35,7 @@ from dataclasses import replace
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification import sampling_checks, torque_checks
-from gms_flex_control.identification.check_limits import absent_joints, Finding
+from gms_flex_control.identification.check_basis import absent_joints, Finding
 from gms_flex_control.params.arm import carrying
 from gms_flex_control.params.robot import RobotParams
 

@@ -11,8 +11,8 @@ from gms_flex_control.data.signal_analysis import (
     quantum,
     smoothed,
 )
-from gms_flex_control.identification import check_limits as limits
-from gms_flex_control.identification.check_limits import Finding, sides
+from gms_flex_control.identification import check_basis as limits
+from gms_flex_control.identification.check_basis import Finding, sides
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 

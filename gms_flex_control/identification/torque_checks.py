@@ -11,36 +11,22 @@ roughly they are known.
 """
 
 from itertools import combinations
-from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import (
-    derivative_window,
-    friction_columns,
-    is_moving,
-    quantum,
-    sign_fit,
-    smoothed,
+from gms_flex_control.data.signal_analysis import friction_columns, is_moving, quantum, sign_fit
+from gms_flex_control.identification import check_basis as limits
+from gms_flex_control.identification.check_basis import (
+    balance_fit,
+    filtered,
+    Finding,
+    rigid_torque,
+    spring_fit,
+    spring_joints,
+    torque_joints,
+    total_torque,
 )
-from gms_flex_control.dynamics.chain import inverse_dynamics
-from gms_flex_control.identification import check_limits as limits
-from gms_flex_control.identification.check_limits import Finding
-from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
-
-
-class Motion(NamedTuple):
-    """Filtered channels of all joints, arrays (S, n), on the rows without gaps."""
-
-    q_link: np.ndarray
-    dq_link: np.ndarray
-    ddq_link: np.ndarray
-    q_motor: np.ndarray
-    dq_motor: np.ndarray
-    ddq_motor: np.ndarray
-    tau: np.ndarray
-    moved: np.ndarray  # (n,), joints that move far enough for their torque to be judged
 
 
 def saturated(signals: Recording) -> list[Finding]:
@@ -111,9 +97,9 @@ def physics(signals: Recording, robot: RobotParams, rough=False) -> list[Finding
 
 def _directions(signals, robot, motion):
     """Find reversed torques and exchanged sides."""
-    total, springs = _total_torque(motion, robot), _spring_joints(robot, motion)
+    total, springs = total_torque(motion, robot), spring_joints(robot, motion)
     found = []
-    for j in _torque_joints(robot, motion):
+    for j in torque_joints(robot, motion):
         balance = _balance_sign(motion, motion.tau[:, j], total, j)
         spring = _spring_sign(motion, j) if j in springs else 0
         name = signals.joints[j]
@@ -135,7 +121,7 @@ def _directions(signals, robot, motion):
 
 def _balance_sign(motion, tau, total, j):
     """Return 1 or -1 if a torque drives joint j forward or backward, 0 if that is open."""
-    fits = _balance_fit(motion, tau, total, j)
+    fits = balance_fit(motion, tau, total, j)
     if fits is None:
         return 0
     known, loose = fits
@@ -156,8 +142,8 @@ def _work(tau, velocity):
 def _spring_sign(motion, j):
     """Return 1 or -1 if the torque of joint j fits its spring as it is or with sides exchanged."""
     tau, torsion = motion.tau[:, j], motion.q_motor[:, j] - motion.q_link[:, j]
-    explained, gain = _spring_fit(tau, motion.ddq_motor[:, j], torsion)
-    explained_other, gain_other = _spring_fit(tau, motion.ddq_link[:, j], -torsion)
+    explained, gain = spring_fit(tau, motion.ddq_motor[:, j], torsion)
+    explained_other, gain_other = spring_fit(tau, motion.ddq_link[:, j], -torsion)
     if explained > limits.CLEAR and gain > limits.CLEAR and gain_other < 0.1:
         return 1
     if explained_other > limits.CLEAR and gain_other > limits.CLEAR and gain < 0.1:
@@ -167,9 +153,9 @@ def _spring_sign(motion, j):
 
 def _scales(signals, robot, motion, rough):
     """Find torques off by a factor."""
-    total, springs = _total_torque(motion, robot), _spring_joints(robot, motion)
+    total, springs = total_torque(motion, robot), spring_joints(robot, motion)
     found = []
-    for j in _torque_joints(robot, motion):
+    for j in torque_joints(robot, motion):
         if j in springs:
             found += _spring_scale(signals, robot, motion, j)
         else:
@@ -184,7 +170,7 @@ def _spring_scale(signals, robot, motion, j):
     torsion = motion.q_motor[:, j] - motion.q_link[:, j]
     ratios, limit = [], limits.SCALE_STIFFNESS
     rest = np.stack([torsion, motion.dq_link[:, j]])
-    exact = _spring_fit(tau, motion.ddq_motor[:, j], torsion)[0] > limits.EXACT
+    exact = spring_fit(tau, motion.ddq_motor[:, j], torsion)[0] > limits.EXACT
     if not exact and rest[1].any() and np.corrcoef(rest)[0, 1] ** 2 > 0.1:
         limit *= 3.0  # read late, one encoder adds a part of the velocity to the torsion
     for others in [[motion.ddq_motor[:, j]]] if exact else (
@@ -217,7 +203,7 @@ def _fits_where_small(tau, ddq_motor, torsion, stiffness):
 
 def _inertia_scale(signals, motion, total, j):
     """Compare torque with what the robot's inertia and gravity need."""
-    fits = _balance_fit(motion, motion.tau[:, j], total, j)
+    fits = balance_fit(motion, motion.tau[:, j], total, j)
     if fits is None:
         return
     rows = is_moving(motion.dq_link[:, j])
@@ -239,13 +225,13 @@ def _inertia_scale(signals, motion, total, j):
 
 def _unexplained(signals, robot, motion):
     """Find torques that have nothing to do with the motion."""
-    total, springs, found = _total_torque(motion, robot), _spring_joints(robot, motion), []
-    for j in _torque_joints(robot, motion):
-        fits = _balance_fit(motion, motion.tau[:, j], total, j)
+    total, springs, found = total_torque(motion, robot), spring_joints(robot, motion), []
+    for j in torque_joints(robot, motion):
+        fits = balance_fit(motion, motion.tau[:, j], total, j)
         shares = [fit.as_is for fit in fits or ()]
         if j in springs:
             torsion = motion.q_motor[:, j] - motion.q_link[:, j]
-            shares.append(_spring_fit(motion.tau[:, j], motion.ddq_motor[:, j], torsion)[0])
+            shares.append(spring_fit(motion.tau[:, j], motion.ddq_motor[:, j], torsion)[0])
         if shares and max(shares) < limits.UNEXPLAINED:
             found.append(Finding(
                 'unexplained', signals.joints[j], 'warn', f'{signals.source}: inertia, gravity, '
@@ -258,14 +244,14 @@ def _unexplained(signals, robot, motion):
 def _exchanged_angles(signals, robot, motion):
     """Find two joints whose motor follows the other's link far better than its own."""
     found = []
-    for i, j in combinations(_spring_joints(robot, motion), 2):
+    for i, j in combinations(spring_joints(robot, motion), 2):
         def apart(a, b):
             return np.var(motion.q_motor[:, a] - motion.q_link[:, b])
 
         def unlike(a, b):
-            return 1 - _spring_fit(motion.tau[:, a], motion.ddq_motor[:, a],
+            return 1 - spring_fit(motion.tau[:, a], motion.ddq_motor[:, a],
                                    motion.q_motor[:, a] - motion.q_link[:, b])[0]
-        judged = {i, j}.issubset(_torque_joints(robot, motion))
+        judged = {i, j}.issubset(torque_joints(robot, motion))
         straight, crossed = ([unlike(i, i), unlike(j, j)], [unlike(i, j), unlike(j, i)]
                              ) if judged else ([0.0, 0.0], [1.0, 1.0])
         if apart(i, j) + apart(j, i) < 0.04 * (apart(i, i) + apart(j, j)) or (
@@ -279,7 +265,7 @@ def _exchanged_angles(signals, robot, motion):
 def _side_scales(signals, robot, motion):
     """Find a motor angle with another sign or scale than the link's, far beyond any deflection."""
     found = []
-    for j in _spring_joints(robot, motion):
+    for j in spring_joints(robot, motion):
         x, y = (side[:, j] - side[:, j].mean() for side in (motion.q_link, motion.q_motor))
         if not (x.any() and y.any()):
             continue
@@ -299,18 +285,18 @@ def _side_scales(signals, robot, motion):
 
 def _exchanged_torques(signals, robot, motion):
     """Find two joints each of whose torque fits the other's motion far better."""
-    total, found = _total_torque(motion, robot), []
-    springs = _spring_joints(robot, motion)
+    total, found = total_torque(motion, robot), []
+    springs = spring_joints(robot, motion)
 
     def explained(torque, j):
         tau = motion.tau[:, torque]
         if j in springs:
-            return _spring_fit(tau, motion.ddq_motor[:, j],
+            return spring_fit(tau, motion.ddq_motor[:, j],
                                motion.q_motor[:, j] - motion.q_link[:, j])[0]
-        fits = _balance_fit(motion, tau, total, j)
+        fits = balance_fit(motion, tau, total, j)
         return fits[0].as_is if fits else 0.0
 
-    for i, j in combinations(_torque_joints(robot, motion), 2):
+    for i, j in combinations(torque_joints(robot, motion), 2):
         crossed = [1 - explained(i, j), 1 - explained(j, i)]
         straight = [1 - explained(i, i), 1 - explained(j, j)]
         if max(crossed) < 0.3 and sum(crossed) < 0.25 * sum(straight) and all(
@@ -321,7 +307,7 @@ def _exchanged_torques(signals, robot, motion):
 
 def _exchanged_joints(signals, robot, motion):
     """Find two joints that, exchanged as a whole, fit the robot's inertia far better."""
-    loads, springs = [], _spring_joints(robot, motion)
+    loads, springs = [], spring_joints(robot, motion)
     for j in range(robot.n_joints):
         torsion = motion.q_motor[:, j] - motion.q_link[:, j]
         loads.append(robot.arm.stiffness[j] * torsion if j in springs else motion.tau[:, j])
@@ -365,85 +351,3 @@ def _swap(signals, i, j, what, reason):
     return Finding('swapped_joints', first, 'refuse', f'{signals.source}: the {what} of {first} '
                    f'and {second} seem exchanged ({reason}); exchange the names in the '
                    'recording or the robot file')
-
-
-def filtered(signals: Recording, robot: RobotParams) -> Motion:
-    """Return the Motion of a recording."""
-    window = max(derivative_window(signals.time, q) for q in signals.q_link.T)
-    sides = [signals.q_link.T, np.where(robot.arm.rigid, signals.q_link, signals.q_motor).T,
-             signals.tau_motor.T]
-    known = np.all(np.isfinite(signals.q_link), axis=1)
-    time, gap = signals.time, 3 * signals.period
-    rows = smoothed(time, [time, *(channel for side in sides for channel in side)], window)
-    at, n = rows[0].value, len(signals.joints)
-    stamps = time[known]
-    wide = np.flatnonzero(np.diff(stamps) > max(gap, window / 8))
-    good = np.ones(len(at), dtype=bool)
-    for k in wide:
-        good[np.searchsorted(at, stamps[k] - window / 2):
-             np.searchsorted(at, stamps[k + 1] + window / 2)] = False
-    link, motor, tau = rows[1:n + 1], rows[n + 1:2 * n + 1], rows[2 * n + 1:]
-    columns = [[getattr(part, name)[good] for part in side] for side in (link, motor)
-               for name in ('value', 'first', 'second')]
-    unknown = ~np.isfinite(signals.tau_motor[2:]).any(axis=0)
-    torque = np.stack([part.value[good] for part in tau], axis=1)
-    torque[:, unknown] = np.nan
-    moved = [len(at) and np.ptp(part.value) > limits.TRAVEL * quantum(q)
-             for part, q in zip(link, signals.q_link.T, strict=True)]
-    result = Motion(*(np.stack(column, axis=1) for column in columns), torque,
-                    np.array(moved, dtype=bool))
-    blind = ~np.isfinite(sides[1]).any(axis=1)
-    for values in result[3:6]:
-        values[:, blind] = np.nan
-    return result
-
-
-def rigid_torque(motion: Motion, arm: ArmParams, order=None) -> np.ndarray:
-    """
-    Return the torque (S, n) that moves the links, and the motors of rigid joints.
-
-    ``M(q) ddq + C dq + g`` as in dynamics.chain; with ``order`` the recorded joints stand for the
-    robot's in that order.
-    """
-    order = np.arange(arm.n_joints) if order is None else np.asarray(order)
-    return inverse_dynamics(*(values[:, order] for values in motion[:3]), arm)
-
-
-def _total_torque(motion, robot):
-    """Return the frictionless torque (S, n) at the motors."""
-    inertia = np.where(robot.arm.rigid, 0.0, robot.arm.motor_inertia)
-    motor = np.where(np.isfinite(motion.ddq_motor), motion.ddq_motor, motion.ddq_link)
-    return rigid_torque(motion, robot.arm) + inertia * motor
-
-
-def _spring_joints(robot, motion):
-    """Return the numbers of the joints whose deflection is recorded."""
-    return [j for j in range(robot.n_joints)
-            if not robot.arm.rigid[j] and np.isfinite(motion.q_motor[:, j]).all()]
-
-
-def _torque_joints(robot, motion):
-    """Return the numbers of the joints whose torque is recorded and can be judged."""
-    return [j for j in range(robot.n_joints) if np.isfinite(motion.tau[:, j]).all()
-            and np.ptp(motion.tau[:, j]) > 0 and motion.moved[j]]
-
-
-def _spring_fit(tau, acceleration, torsion):
-    """Return what inertia and spring explain of a torque, and the share the spring adds."""
-    free = [np.ones_like(tau)]
-    both = sign_fit(tau, [acceleration, torsion], free).as_is
-    alone = sign_fit(tau, [acceleration], free).as_is
-    return both, (both - alone) / max(1.0 - alone, 1e-12)
-
-
-def _balance_fit(motion, tau, total, j):
-    """Return fits (sign_fit) of a torque by rigid-body torque and friction, the second looser."""
-    rows = is_moving(motion.dq_link[:, j])
-    if rows.sum() < limits.FEWEST_ROWS:
-        return None
-    angle = motion.q_link[rows, j]
-    columns = [total[rows, j], *friction_columns(motion.dq_link[rows, j])]
-    constant = np.ones(int(rows.sum()))
-    known = sign_fit(tau[rows], columns, [constant])
-    loose = sign_fit(tau[rows], columns, [constant, np.sin(angle), np.cos(angle)])
-    return known, loose

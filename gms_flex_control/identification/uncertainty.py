@@ -24,7 +24,7 @@ from gms_flex_control.identification.coordinates import (
     yields_of,
 )
 from gms_flex_control.identification.least_squares import summed, torque_slopes
-from gms_flex_control.identification.result import (
+from gms_flex_control.identification.outcome import (
     CONFIDENT,
     DEPENDS,
     Estimate,

@@ -17,7 +17,7 @@ from gms_flex_control.nodes.messages import (
     set_stamp,
     to_nanoseconds,
 )
-from gms_flex_control.nodes.motion import PastError
+from gms_flex_control.nodes.reference_motion import PastError
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.task import Future

@@ -12,8 +12,8 @@ from gms_flex_control.errors import GmsFlexError, TrajectoryError
 from gms_flex_control.nodes import joint_trajectory, messages, process
 from gms_flex_control.nodes.health import Health, OK
 from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
-from gms_flex_control.nodes.motion import Links, LONGEST_PAUSE, Motion
 from gms_flex_control.nodes.parameters import NodeParameters
+from gms_flex_control.nodes.reference_motion import Links, LONGEST_PAUSE, Motion
 from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
 from gms_flex_control.schema.build import frames_from_values
 from gms_flex_control.schema.keys import robot_keys, trajectory_keys

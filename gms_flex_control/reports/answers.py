@@ -14,7 +14,7 @@ from gms_flex_control.discrepancy.describe import (
     torque_scale,
     value_words,
 )
-from gms_flex_control.identification.result import (
+from gms_flex_control.identification.outcome import (
     data_sentence,
     DOUBTFUL,
     floor_shares,

@@ -12,8 +12,8 @@ from textwrap import fill
 
 from gms_flex_control import __version__
 from gms_flex_control.answer import align, Answer, command, measured
+from gms_flex_control.identification.outcome import number, percent
 from gms_flex_control.identification.output import is_identified
-from gms_flex_control.identification.result import number, percent
 
 _WIDTH = 96
 _COLUMNS = 4  # bags beside each other in text, at most

@@ -17,12 +17,7 @@ from gms_flex_control.reports.answers import COLUMNS, discrepancy_answer, WITH, 
 from gms_flex_control.reports.discrepancy_values import comparison_rows
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.page import Curve, Report, Series
-from gms_flex_control.reports.pictures import (
-    evidence_figure,
-    gap_figure,
-    maps_figure,
-    over_figure,
-)
+from gms_flex_control.reports.pictures import evidence_figure, gap_figure, maps_figure, over_figure
 import numpy as np
 
 TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',

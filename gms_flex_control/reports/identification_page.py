@@ -5,7 +5,7 @@
 
 from pathlib import Path
 
-from gms_flex_control.identification.result import (
+from gms_flex_control.identification.outcome import (
     data_sentence,
     joint_sentences,
     known_presliding,

@@ -17,6 +17,7 @@ from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
 from gms_flex_control.identification.least_squares import prior_of
 from gms_flex_control.identification.objective import Bundle, Objective
+from gms_flex_control.identification.outcome import Candidate, CONFIDENT, Interval
 from gms_flex_control.identification.paper.experiments import (
     believable,
     label,
@@ -24,7 +25,6 @@ from gms_flex_control.identification.paper.experiments import (
     sliding_pieces,
     steady_points,
 )
-from gms_flex_control.identification.result import Candidate, CONFIDENT, Interval
 from gms_flex_control.identification.selection import JointFit
 from gms_flex_control.identification.uncertainty import Spread
 from gms_flex_control.params.arm import ArmParams

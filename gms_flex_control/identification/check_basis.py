@@ -1,0 +1,190 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+What the checks of a recording share: findings, the table of all limits, and filtered motion.
+
+A share is one of all samples unless it says otherwise. Where no origin is given, a limit was
+chosen on recordings with injected faults (docs/data_checks.md), between healthy and faulty ones.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.signal_analysis import (
+    derivative_window,
+    Fit,
+    friction_columns,
+    is_moving,
+    quantum,
+    sign_fit,
+    smoothed,
+)
+from gms_flex_control.dynamics.chain import inverse_dynamics
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.robot import RobotParams
+import numpy as np
+
+# length and channels
+FEWEST = 200                    # samples of a recording
+SHORTEST, SHORT = 2.0, 4.0      # duration refused and warned about below [s]
+MISSING_WARN, MISSING_MOST, MISSING_REFUSE = 0.001, 10, 0.3  # share, samples, share without number
+# clock
+FASTEST, SLOWEST = 2e-5, 0.2    # plausible periods [s]
+LOST_WARN, LOST_REFUSE = 0.003, 0.3  # share of lost samples
+GAP_WARN = 0.05                 # a single gap worth a word [s]
+ON_GRID = 0.1                   # a step of a steady clock is this near a multiple of the period
+TOO_SOON = 0.55                 # of a period: sooner than jitter puts a sample
+CLUSTER = 10                    # short steps near each other are no late message
+TOO_SOON_SHARE = 0.001          # share of such steps worth a word
+IRREGULAR = 1.0                 # periods between the 10 % and 90 % quantiles of the steps
+# motion
+STILL_STEPS = 3                 # encoder steps, or standard deviations of noise, of no motion
+ONE_WAY = 0.03                  # of the travel is in the other direction
+SLOPE, SLOPE_FIT = (0.85, 1.15), 0.9            # velocity over derivative, correlation: right
+SLOPE_MILD, SLOPE_MILD_FIT = (0.7, 1.4), 0.8    # likewise: warned about, else refused
+FROZEN, FROZEN_WARN, FROZEN_REFUSE = 5, 0.002, 0.3   # samples; shares repeated in motion
+BEYOND = 2.0                    # times the limits of a URDF: angles that far out are no radians
+# torque
+CLIPPED_WARN, CLIPPED_REFUSE = 0.005, 0.5  # shares of the moving samples
+FEWEST_ROWS = 40                # of a fit
+TRAVEL = 30                     # encoder steps a joint must move for its torque to be judged
+CLEAR = 0.5                     # of the variance a fit must explain to be believed
+APART = 0.3                     # of the variance by which one sign must explain more
+EXACT = 0.95                    # a fit as good as this is no delay between encoders
+SCALE_STIFFNESS = 4.0           # refused beyond this factor of what the spring says
+SCALE_INERTIA = (3.0, 8.0)      # warned about, refused: inertia of a rigid joint is less known
+SCALE_SLIGHT, NEARLY_ALL = 50.0, 0.9  # refused where friction is more of the variance than this
+UNEXPLAINED = 0.2               # of the variance: less than this is no fit at all
+# exchanged channels
+SIDE_FACTOR = 8.0               # torque of the spring over that of the motor that cannot be
+SIDE_SLOPE, SIDE_FIT = (0.5, 2.0), 0.9     # motor angle over link angle, correlation
+FITS, BETTER = 0.2, 0.25        # of the variance a joint may leave; of what it leaves unexchanged
+
+
+class Finding(NamedTuple):
+    """One fault of a recording."""
+
+    kind: str      # see recording_checks
+    joint: str     # link name, '' if it concerns all
+    severity: str  # 'refuse': a fit would be wrong; 'warn': a fit is possible, less is known
+    text: str      # a sentence: what, where, the value, the way out
+
+
+def sides(recording: Recording, joint: int) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yield (name, angle, rate) of each side that was recorded of a joint's number."""
+    for name, q, dq in (('link', recording.q_link, recording.dq_link),
+                        ('motor', recording.q_motor, recording.dq_motor)):
+        if np.isfinite(q[:, joint]).any():
+            yield name, q[:, joint], dq[:, joint]
+
+
+def absent_joints(recording: Recording, robot: RobotParams) -> list[Finding]:
+    """Return a finding for the first joint of a robot that a Recording lacks."""
+    for joint in robot.joints:
+        if joint not in recording.joints:
+            return [Finding('joint_names', joint, 'refuse', (
+                f'{recording.source}: has no joint {joint!r}, it has '
+                f'{", ".join(recording.joints)}; use the names of the recording in the robot '
+                'file, or choose its joints when it is read'))]
+    return []
+
+
+class Motion(NamedTuple):
+    """Filtered channels of all joints, arrays (S, n), on the rows without gaps."""
+
+    q_link: np.ndarray
+    dq_link: np.ndarray
+    ddq_link: np.ndarray
+    q_motor: np.ndarray
+    dq_motor: np.ndarray
+    ddq_motor: np.ndarray
+    tau: np.ndarray
+    moved: np.ndarray  # (n,), joints that move far enough for their torque to be judged
+
+
+def filtered(signals: Recording, robot: RobotParams) -> Motion:
+    """Return the Motion of a recording."""
+    window = max(derivative_window(signals.time, q) for q in signals.q_link.T)
+    sides = [signals.q_link.T, np.where(robot.arm.rigid, signals.q_link, signals.q_motor).T,
+             signals.tau_motor.T]
+    known = np.all(np.isfinite(signals.q_link), axis=1)
+    time, gap = signals.time, 3 * signals.period
+    rows = smoothed(time, [time, *(channel for side in sides for channel in side)], window)
+    at, n = rows[0].value, len(signals.joints)
+    stamps = time[known]
+    wide = np.flatnonzero(np.diff(stamps) > max(gap, window / 8))
+    good = np.ones(len(at), dtype=bool)
+    for k in wide:
+        good[np.searchsorted(at, stamps[k] - window / 2):
+             np.searchsorted(at, stamps[k + 1] + window / 2)] = False
+    link, motor, tau = rows[1:n + 1], rows[n + 1:2 * n + 1], rows[2 * n + 1:]
+    columns = [[getattr(part, name)[good] for part in side] for side in (link, motor)
+               for name in ('value', 'first', 'second')]
+    unknown = ~np.isfinite(signals.tau_motor[2:]).any(axis=0)
+    torque = np.stack([part.value[good] for part in tau], axis=1)
+    torque[:, unknown] = np.nan
+    moved = [len(at) and np.ptp(part.value) > TRAVEL * quantum(q)
+             for part, q in zip(link, signals.q_link.T, strict=True)]
+    result = Motion(*(np.stack(column, axis=1) for column in columns), torque,
+                    np.array(moved, dtype=bool))
+    blind = ~np.isfinite(sides[1]).any(axis=1)
+    for values in result[3:6]:
+        values[:, blind] = np.nan
+    return result
+
+
+def rigid_torque(motion: Motion, arm: ArmParams, order=None) -> np.ndarray:
+    """
+    Return the torque (S, n) that moves the links, and the motors of rigid joints.
+
+    ``M(q) ddq + C dq + g`` as in dynamics.chain; with ``order`` the recorded joints stand for the
+    robot's in that order.
+    """
+    order = np.arange(arm.n_joints) if order is None else np.asarray(order)
+    return inverse_dynamics(*(values[:, order] for values in motion[:3]), arm)
+
+
+def total_torque(motion: Motion, robot: RobotParams) -> np.ndarray:
+    """Return the frictionless torque (S, n) at the motors."""
+    inertia = np.where(robot.arm.rigid, 0.0, robot.arm.motor_inertia)
+    motor = np.where(np.isfinite(motion.ddq_motor), motion.ddq_motor, motion.ddq_link)
+    return rigid_torque(motion, robot.arm) + inertia * motor
+
+
+def spring_joints(robot: RobotParams, motion: Motion) -> list[int]:
+    """Return the numbers of the joints whose deflection is recorded."""
+    return [j for j in range(robot.n_joints)
+            if not robot.arm.rigid[j] and np.isfinite(motion.q_motor[:, j]).all()]
+
+
+def torque_joints(robot: RobotParams, motion: Motion) -> list[int]:
+    """Return the numbers of the joints whose torque is recorded and can be judged."""
+    return [j for j in range(robot.n_joints) if np.isfinite(motion.tau[:, j]).all()
+            and np.ptp(motion.tau[:, j]) > 0 and motion.moved[j]]
+
+
+def spring_fit(tau, acceleration, torsion) -> tuple[float, float]:
+    """Return what inertia and spring explain of a torque (S,), and the share the spring adds."""
+    free = [np.ones_like(tau)]
+    both = sign_fit(tau, [acceleration, torsion], free).as_is
+    alone = sign_fit(tau, [acceleration], free).as_is
+    return both, (both - alone) / max(1.0 - alone, 1e-12)
+
+
+def balance_fit(motion: Motion, tau, total, j: int) -> tuple[Fit, Fit] | None:
+    """
+    Return fits of a torque (S,) by rigid-body torque (S, n) and friction of joint j.
+
+    In the second gravity is free as well; None where the joint moves too little.
+    """
+    rows = is_moving(motion.dq_link[:, j])
+    if rows.sum() < FEWEST_ROWS:
+        return None
+    angle = motion.q_link[rows, j]
+    columns = [total[rows, j], *friction_columns(motion.dq_link[rows, j])]
+    constant = np.ones(int(rows.sum()))
+    known = sign_fit(tau[rows], columns, [constant])
+    loose = sign_fit(tau[rows], columns, [constant, np.sin(angle), np.cos(angle)])
+    return known, loose

@@ -1,0 +1,272 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+What a joint is fitted to: the predictor's innovations, the torque, or simple friction.
+
+The innovations weigh every moment by how well it is understood, which says the most of an arm
+that is as described. On a machine with forces that nobody has described, few moments are, and
+they need not be like the rest: there a plain fit of the torque predicts better. Both are tried,
+and Coulomb and viscous friction with a single stiff block as well; torque and free simulation
+choose among them on the data held out; where these are few, on all of them and on each quarter
+held out in turn.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import NamedTuple
+
+from gms_flex_control.data.signal_analysis import rms
+from gms_flex_control.identification.coordinates import Coordinates
+from gms_flex_control.identification.least_squares import fit_torque, prior_of, refine, TorqueError
+from gms_flex_control.identification.objective import (
+    Bundle,
+    coarser,
+    everything,
+    FOLDS,
+    held_out,
+    Objective,
+    train,
+)
+from gms_flex_control.identification.prediction_error import (
+    coulomb_viscous,
+    free_run_error,
+    simple_free,
+)
+from gms_flex_control.identification.segments import moving
+from gms_flex_control.identification.selection import JointFit
+from gms_flex_control.identification.uncertainty import Spread, torque_spread
+from gms_flex_control.simulation.predictor import PER_DIRECTION, VISCOUS
+import numpy as np
+
+INNOVATIONS, TORQUE, SIMPLE = 'innovations', 'torque', 'coulomb and viscous'
+_SENTENCES = {
+    INNOVATIONS: (),
+    TORQUE: ('Forces that the model lacks are as large as what identifies friction: the '
+             'parameters are those that predict the drive torque best, not those of friction '
+             'alone.',),
+    SIMPLE: ('these data do not identify GMS friction: it predicts no better than Coulomb + '
+             'viscous friction, which is what was taken (one stiff block, no Stribeck part). '
+             'Slow reversals and torque ramps below break-away, with an encoder that resolves '
+             'them, would identify it.',)}
+_MOST = 20_000        # samples that are looked at, if they are no further apart than
+_COARSE = 8e-3        # [s]
+_YIELDS = (2.0, 0.2, 0.6, 10.0, 50.0)  # of the simple one's block, in encoder steps
+_SHORT = 60.0         # data in which one part held out is too little to choose by [s]
+_WORTH = 0.97         # of the error on data held out: a fit that is no better is not chosen
+_CLEAR = 0.9          # likewise where the fit itself has seen the data that decide
+_NEXT_TO_NOTHING = 0.05  # of the friction torque
+_FAR, _LITTLE = 0.7, 1.3  # of the errors of the innovations: where torque decides after all
+_DROP, _LEVEL_SD = 0.1, 0.3  # of Coulomb friction: F_s - F_c to begin with; of its logarithm
+
+
+class Choice(NamedTuple):
+    """What a joint's fit was chosen from."""
+
+    kind: str              # INNOVATIONS, TORQUE or SIMPLE
+    fit: JointFit
+    spread: Spread | None  # None where the innovations decided
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Return what is to be said of the kind, a tuple of str."""
+        return _SENTENCES[self.kind]
+
+
+class _Look(NamedTuple):
+    """Which samples are fitted and which judge the fit, each Segment -> bool (T,)."""
+
+    fitted: Callable
+    out: Callable
+
+
+class _Trial(NamedTuple):
+    """How a fit is compared with the simple one."""
+
+    looks: tuple   # of _Look; their errors count together
+    enough: float  # error relative to that of the simple one that a fit must stay below
+
+
+def choose_fit(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float) -> Choice:
+    """
+    Return the Choice of one joint: none that is worse than the simple one in either error.
+
+    ``fits`` are those of all joints by the innovations, ``step`` the encoder step or noise [rad].
+    """
+    contest = _contest(bundle, joint, fits, step)
+    usual = contest.wins(contest.by_innovations)
+    if usual and contest.explained():
+        return Choice(INNOVATIONS, fits[joint], None)
+    other = contest.wins(contest.by_torque)
+    if usual and not (other and contest.clearly_better()):
+        return Choice(INNOVATIONS, fits[joint], None)
+    return contest.finished(TORQUE if other else SIMPLE)
+
+
+def simple_theta(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float,
+                 whole: bool) -> np.ndarray:
+    """Return the parameters of the simple fit, to all data or without those held out."""
+    contest = _contest(bundle, joint, fits, step)
+    coordinates, free = contest.simple(contest.whole if whole else contest.first)
+    return coordinates.parameters(free)
+
+
+def _contest(bundle, joint, fits, step):
+    samples = sum(len(segment.angle) for segment in bundle.segments)
+    thin = coarser(bundle, min(bundle.period * max(samples // _MOST, 1), _COARSE))
+    return _Contest(thin, joint, [fit.theta for fit in fits], fits[joint], step)
+
+
+class _Contest:
+    """Fits of one joint beside the simple one, ``fit`` by the innovations."""
+
+    def __init__(self, bundle, joint, thetas, fit, step):
+        self._bundle, self._fit, self._step = bundle, fit, step
+        self._objective_of = lambda chosen: Objective(bundle, joint, thetas, chosen)
+        self._objective = Objective(bundle, joint, thetas)
+        first, *others = _trials(bundle)
+        self.trials = (first, *filter(None, map(self._that_tell, others)))
+        self.first = first.looks[0]
+        self.whole = _Look(everything, self.first.out)
+        self.simple, self.by_torque = cache(self._simple), cache(self._by_torque)
+
+    def _that_tell(self, trial):
+        """Return a _Trial of the looks whose both parts have motion of the joint, or None."""
+        looks = tuple(look for look in trial.looks
+                      if self._moves(look.fitted) and self._moves(look.out))
+        return trial._replace(looks=looks) if looks else None
+
+    def _moves(self, chosen):
+        joint, bundle = self._objective.joint, self._bundle
+        return any((chosen(segment) & segment.tested[:, joint] & moving(
+            segment, joint, self._step, bundle.half[joint])).any() for segment in bundle.segments)
+
+    def wins(self, fitted) -> bool:
+        """Return whether ``fitted``, _Look -> Coordinates and free numbers, passes all trials."""
+        return all(self._passes(trial, fitted) for trial in self.trials)
+
+    def explained(self) -> bool:
+        """Return whether the fit by the innovations leaves next to nothing of the torque."""
+        error = self._error(self.first.out)
+        left = error(self._fit.coordinates.parameters(self._fit.held))
+        return rms(left) < _NEXT_TO_NOTHING * rms(error.measured)
+
+    def _passes(self, trial, fitted):
+        found = self._errors(trial.looks, [fitted(look) for look in trial.looks])
+        least = self._errors(trial.looks, [self.simple(look) for look in trial.looks])
+        return self._penalty(trial) * np.nanmax(found / least) < trial.enough
+
+    def clearly_better(self) -> bool:
+        """Return whether the fit of the torque is far better there, and little worse freely."""
+        looks = self.trials[-1].looks
+        torque, free = (self._errors(looks, [self.by_torque(look) for look in looks])
+                        / self._errors(looks, [self.by_innovations(look) for look in looks]))
+        return torque < _FAR and not free > _LITTLE
+
+    def by_innovations(self, look) -> tuple[Coordinates, np.ndarray]:
+        """Return Coordinates and free numbers of the fit by the innovations."""
+        if look is self.first:
+            return self._fit.coordinates, self._fit.held
+        return self._fit.coordinates, refine(
+            self._objective_of(look.fitted), self._fit.coordinates, self._fit.free,
+            self._fit.prior).free
+
+    def _by_torque(self, look):
+        """Return Coordinates and free numbers of a fit of the torque."""
+        coordinates, free = self.by_innovations(look)
+        begin = _levelled(free, self.simple(look)[1])
+        return coordinates, fit_torque(self._error(look.fitted), coordinates, begin,
+                                       _belief(coordinates, begin))
+
+    def _simple(self, look):
+        """
+        Return Coulomb and viscous friction as Coordinates and free numbers.
+
+        Its one block is as stiff as suits torque and free motion together: too soft it lags
+        behind a reversal, too stiff for the samples it chatters.
+        """
+        plain = coulomb_viscous(self._objective, self._bundle, self._step, look.fitted)
+        tried = [simple_free(plain, factor * self._step) for factor in _YIELDS]
+        found = [np.nanprod(self._errors([look], [pair])) for pair in tried]
+        return tried[int(np.argmin(found))]
+
+    def finished(self, kind) -> Choice:
+        """Return the Choice of a kind, fitted to all data."""
+        coordinates, held = (self.by_torque if kind == TORQUE else self.simple)(self.first)
+        error, prior = self._error(everything), prior_of(coordinates, held)
+        if kind == SIMPLE:
+            free = self.simple(self.whole)[1]
+        else:
+            prior = _belief(coordinates, held)
+            free = fit_torque(error, coordinates, held, prior)
+        fit = self._fit._replace(coordinates=coordinates, free=free, prior=prior, held=held,
+                                 sampling=np.zeros(len(free)),
+                                 rivals=(self._fit.theta, *self._fit.rivals))
+        return Choice(kind, fit, torque_spread(error, coordinates, free, prior))
+
+    def _penalty(self, trial):
+        """
+        Return by how much more a fit flatters itself than the simple one.
+
+        Akaike's final prediction error, samples counted by how long an error lasts; 1 where the
+        data held out decide, which had no part in the fit.
+        """
+        look = trial.looks[0]
+        if look.out is not everything:
+            return 1.0
+        error, size = self._error(look.fitted), self._fit.coordinates.size
+        least = self.simple(look)[0].size
+        count = max(len(error.block) / error.memory, 1.1 * size)
+        return float(np.sqrt((count + size) * (count - least) / (count - size) / (count + least)))
+
+    def _errors(self, looks, fits):
+        """Return the errors of torque and of free simulation (2,) where looks judge."""
+        found = []
+        for look, (coordinates, free) in zip(looks, fits, strict=True):
+            theta = coordinates.parameters(free)
+            found.append([rms(self._error(look.out)(theta)), free_run_error(
+                self._objective, self._bundle, theta, look.out)])
+        return _root_mean_square(np.array(found))
+
+    def _error(self, chosen):
+        return TorqueError(self._objective, self._bundle, chosen, self._step)
+
+
+def _trials(bundle):
+    """
+    Return what a fit has to pass, a tuple of _Trial.
+
+    Where data are few, one part of them held out may be like no other, and a motion that lacks
+    a quarter may not identify the simple model: a fit must be better on all of them, by more
+    than it flatters itself, and as each quarter is held out in turn.
+    """
+    period = bundle.period
+    if period * sum(len(segment.angle) for segment in bundle.segments) > _SHORT:
+        return (_Trial((_Look(train(period), held_out(period)),), _WORTH),)
+    turns = tuple(_Look(train(period, turn), held_out(period, turn)) for turn in range(FOLDS))
+    return _Trial((_Look(train(period), everything),), _CLEAR), _Trial(turns, _WORTH)
+
+
+def _levelled(free, plain):
+    """Return free numbers with the Coulomb and viscous friction of the simple ones."""
+    level = free.copy()
+    for at in (0, PER_DIRECTION):
+        level[at + VISCOUS] = plain[at + VISCOUS]
+        level[at] = plain[at]
+        level[at + 1] = plain[at] + np.log(_DROP)
+    return level
+
+
+def _belief(coordinates, free):
+    """Return the prior of a fit of the torque: friction does not vanish at speed."""
+    prior = prior_of(coordinates, free)
+    for at in (0, PER_DIRECTION):
+        prior.precision[at] = _LEVEL_SD ** -2
+    return prior
+
+
+def _root_mean_square(rows):
+    """Return the root mean square of the columns of (L, E), NaN left out, as (E,)."""
+    known = np.isfinite(rows)
+    count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return np.sqrt(np.square(np.where(known, rows, 0.0)).sum(axis=0) / count)
