@@ -36,6 +36,13 @@ class Split(NamedTuple):
     held_out: tuple
 
 
+class Known(NamedTuple):
+    """Something that an axis is known to have, and the effects of the catalogue that say so."""
+
+    words: str
+    effects: tuple            # of str: effects that differ by other motion only
+
+
 @dataclass(frozen=True, kw_only=True)
 class Machine:
     """
@@ -63,8 +70,8 @@ class Machine:
         Likewise of angles in free runs.
     wide : float
         A second, higher band in which least squares and models are compared [Hz]; 0 for none.
-    known : tuple of str
-        Effects of the catalogue that it is known to have.
+    known : tuple of Known
+        What is published of it.
     splits : tuple of Split
         What is fitted and what is held out.
 
@@ -149,18 +156,22 @@ MACHINES = {machine.name: machine for machine in (
     Machine(
         name='emps', title='EMPS, slide with ball screw', folder='emps',
         import_map=HERE / 'maps' / 'emps.yaml', joint='slide', belief='emps.yaml', unit='N',
-        length=('mm', 1e3), wide=40.0, known=('stribeck_error', 'torque_ripple', 'input_delay'),
+        length=('mm', 1e3), wide=40.0, known=(
+            Known('low-speed shape', ('stribeck_error', 'low_speed_friction')),
+            Known('ripple of the screw', ('torque_ripple',)),
+            Known('delay', ('input_delay', 'actuator_lag', 'recording_delay'))),
         splits=(Split('identification, then pulses', (Piece('identification.csv'),),
                       (Piece('pulses.csv'),)),
                 halves('identification.csv', 12.42, name='halves of identification'))),
     _kr300(1, ROOT / 'config' / 'import_kr300.yaml', belief='kr300_axis1.yaml',
-           known=('encoder_skew',)),
+           known=(Known('skew of the encoders', ('encoder_skew',)),)),
     _kr300(2, HERE / 'maps' / 'kr300_motor_side.yaml', gravity=True),
     _kr300(3, HERE / 'maps' / 'kr300_motor_side.yaml', gravity=True),
     Machine(
         name='xl330', title='Dynamixel XL330, pendulum', folder='bam_xl330',
         import_map=ROOT / 'config' / 'import_bam_xl330.yaml', joint='joint1', gravity=True,
-        loaded=True, unit='mN m', factor=1e3, wide=20.0, known=('load_friction',),
+        loaded=True, unit='mN m', factor=1e3, wide=20.0,
+        known=(Known('friction by load', ('load_friction',)),),
         splits=(Split('two motions, then two others', _servo(_MOTIONS[:2]), _servo(_MOTIONS[2:])),
                 Split('stiff gain, then soft', _servo(_MOTIONS, (400,)),
                       _servo(_MOTIONS, (100,))))),
@@ -168,14 +179,15 @@ MACHINES = {machine.name: machine for machine in (
         name='arts_friction_damper', title='ARTS friction damper', folder='arts_friction_damper',
         import_map=HERE / 'maps' / 'arts_friction_damper.yaml', joint='damper',
         belief='arts_friction_damper.yaml', estimate='friction', unit='N', length=('mm', 1e3),
-        wide=40.0, known=('friction_backlash',),
+        wide=40.0, known=(Known('backlash', ('friction_backlash',)),),
         splits=(Split('sine at 30 lb, then earthquake at 36 lb',
                       (Piece('sine_0.25hz_1in_30lb.csv'),), (Piece('earthquake_36lb.csv'),)),
                 halves('sine_0.25hz_1in_30lb.csv', 14.0, name='halves of sine'))),
     Machine(
         name='odri_motor', title='ODRI motor', folder='odri_motor',
         import_map=HERE / 'maps' / 'odri_motor.yaml', joint='motor', belief='odri_motor.yaml',
-        estimate='friction', unit='mA', factor=1e3, wide=100.0, known=('torque_ripple',),
+        estimate='friction', unit='mA', factor=1e3, wide=100.0,
+        known=(Known('cogging', ('torque_ripple',)),),
         # the position slips by half a radian and more up to 8.77 s, the other's at 8.48 s
         splits=(Split('acceleration, then speed control', (Piece('acceleration.csv', 8.8),),
                       (Piece('speed_control.csv', 8.6),)),

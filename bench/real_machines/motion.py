@@ -141,14 +141,6 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def gap_of(result):
-    """Return the free-run error before and after of a Discrepancy [rad], or NaN."""
-    gap = result.gap
-    if gap is None:
-        return np.nan, np.nan
-    return float(gap.free_before[_DRIVEN]), float(gap.free_after[_DRIVEN])
-
-
 def _measured(recording, robot, fine):
     motion = equations.motion_of(recording, robot)
     return equations.at_full_rate(motion) if fine else motion

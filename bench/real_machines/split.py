@@ -9,12 +9,12 @@ import time
 from bench.real_machines import least_squares
 from bench.real_machines.least_squares import Part
 from bench.real_machines.motion import (
-    gap_of,
     low_pass,
     motion_of,
     residual_torque,
     rms,
 )
+from gms_flex_control.discrepancy.compared import compare
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.identification.identify import identify
@@ -56,6 +56,7 @@ class Outcome:
     bands: tuple                 # of InBand
     verdict: str
     named: tuple = ()            # (effect, {parameter: value})
+    identified: tuple = ()       # effects of the identified robot, by name
     added: tuple = ()            # effects of the final robot, by name
     words: str = ''
     refused: str = ''            # why identification gave no robot
@@ -95,14 +96,15 @@ def try_split(machine, split, say=lambda text: None):
     identify_seconds = time.monotonic() - begun
     say('discrepancy')
     begun = time.monotonic()
-    answer = asked(fitted, held_out, robot)
+    answer = asked(fitted, robot, held_out)
     seconds = time.monotonic() - begun
     final = answer.get('robot') or robot
     bands = tuple(in_band(machine, peers[band], held_out, robot, final, band)
                   for band in machine.bands)
     return Outcome(
         machine=machine.name, split=split.name, bands=bands, verdict=answer['verdict'],
-        named=answer.get('named', ()), added=tuple(spec.name for spec in final.effects),
+        named=answer.get('named', ()), identified=tuple(spec.name for spec in robot.effects),
+        added=tuple(spec.name for spec in final.effects),
         words=answer['words'], refused=refused,
         free_before=answer.get('free_before', np.nan),
         free_after=answer.get('free_after', np.nan), identify_seconds=identify_seconds,
@@ -127,17 +129,22 @@ def identified(machine, recordings):
     return found.robot, ''
 
 
-def asked(fitted, held_out, robot):
-    """Return what discrepancy answers; where it refuses the data, in spite of that as well."""
+def asked(fitted, robot, held_out):
+    """
+    Return what discrepancy answers of fitted data; refused data are forced as well.
+
+    Data held out take no part in the answer: its free runs on them are measured afterwards.
+    """
     try:
-        result = find_discrepancy(fitted, robot, holdout=held_out)
+        result = find_discrepancy(fitted, robot)
         verdict, words = result.verdict, result.words
         if result.robot is None:
-            result = find_discrepancy(fitted, robot, Options(force=True), holdout=held_out)
+            result = find_discrepancy(fitted, robot, Options(force=True))
             verdict, words = f'{verdict}, forced: {result.verdict}', f'{words} {result.words}'
     except Exception as error:  # noqa: B902  a crash is a result of this bench
         return {'verdict': CRASHED, 'words': f'{type(error).__name__}: {error}'}
-    before, after = gap_of(result)
+    before, after = (float(one.free_run[0]) for one in compare(
+        result, (('identified', robot), ('final', result.robot)), held_out))
     return {'verdict': verdict, 'words': words, 'robot': result.robot,
             'free_before': before, 'free_after': after,
             'named': tuple((one.effect, one.parameters) for one in result.named)}

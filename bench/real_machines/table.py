@@ -13,7 +13,7 @@ from bench.real_machines.split import CRASHED
 BEGIN = '<!-- made by make bench-real: begin -->'
 END = '<!-- made by make bench-real: end -->'
 _HEAD = ('machine: fitted, then held out', 'band [Hz]', 'torque', '(a)', '(b)', '(b) chosen',
-         'identified', 'final', 'final / (b)', 'free run', 'verdict', 'named', 'known, named',
+         'identified', 'final', 'final / (b)', 'free run', 'verdict', 'named', 'known: named',
          'time [s]')
 _NUMBERS = range(1, 9)
 
@@ -51,9 +51,16 @@ def _told(outcome, machine):
         free = f'{factor * outcome.free_before:.3g} -> {factor * outcome.free_after:.3g} {unit}'
     named = [effect for effect, _ in outcome.named]
     told = [effect if effect in outcome.added else f'{effect} (not added)' for effect in named]
-    known = [f'{effect} {"yes" if effect in named else "no"}' for effect in machine.known]
-    return [free, outcome.verdict, ', '.join(told) or '-', ', '.join(known) or '-',
+    known = [f'{one.words}: {_as_named(one, named, outcome)}' for one in machine.known]
+    return [free, outcome.verdict, ', '.join(told) or '-', '; '.join(known) or '-',
             f'{outcome.identify_seconds + outcome.seconds:.0f}']
+
+
+def _as_named(known, named, outcome):
+    """Return under which names an Outcome has what is Known, or '-'."""
+    found = [effect for effect in known.effects if effect in named]
+    found += [f'{effect} by identify' for effect in known.effects if effect in outcome.identified]
+    return ' and '.join(found) or '-'
 
 
 def as_text(table):
