@@ -23,7 +23,6 @@ from gms_flex_control.cli import main as tool
 from gms_flex_control.cli.verbs import GROUPS
 from gms_flex_control.data.bag import BagWarning
 from gms_flex_control.effects import registry
-from gms_flex_control.errors import own_warnings
 import numba
 import numpy as np
 from processes import environment_of, TOOL
@@ -34,25 +33,6 @@ VERBS = tool.VERBS
 OF_BENCH = tuple(verb for group in bench.GROUPS.values() for verb in group)
 WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export', 'coverage', 'learn', 'real-machines',
                  'hidden-arms', 'base-parameters', 'growth', 'real-arm'}
-BAGS = {'info', 'repair', 'analyse', 'identify', 'discrepancy', 'torsion'}
-NO_BAG = ROOT / 'test' / 'no_such_bag'
-# what is wrong with the input of a verb that takes no bag
-WRONG = {
-    'demo': '--out {file}', 'demo-identify': '--plan {missing} --out {dir}',
-    'demo-discrepancy': '--effect nothing --out {dir}', 'demo-next': '--out {file}',
-    'simulate': '--robot {missing} --out {dir}', 'record': '--all --duration -1 --out {dir}',
-    'import-csv': '{missing} --map import_kr300.yaml --out {dir}',
-    'check-gains': '--robot {missing}', 'joints': '--most 0', 'speed': '--robot {missing}',
-    'recover': '--seeds 0', 'hide': '--seeds x --out {dir}',
-    'score': '--kind single --seeds x --out {dir}', 'faults': '--only nonsense',
-    'coverage': '--seeds x --out {dir}', 'real-machines': 'nonsense --out {dir}',
-    'learn': '--machines nonsense --out {dir}',
-    'next': '{missing} --robot {missing} --limits {missing} --out {dir}',
-    'plan': '--robot {missing} --out {dir}',
-    'real-arm': '--data {missing}', 'hidden-arms': '--seeds many',
-    'base-parameters': '--seeds many', 'growth': '--joints 0',
-    'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}', 'compare': '{missing}',
-    'view': '{missing}', 'effects': 'backlsh', 'export': '--to mujoco --robot {missing}'}
 
 
 def tool_of(verb):
@@ -106,53 +86,6 @@ def test_an_unknown_option_is_bad_input(verb, capsys):
         its_tool.main([verb, '--no-such-option'])
     assert ended.value.code == tool.BAD_INPUT
     assert f'usage: {start}' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize('verb', [*sorted(BAGS), *WRONG])
-def test_bad_input_is_said_in_one_sentence(verb, tmp_path, capsys):
-    places = {'missing': tmp_path / 'missing', 'dir': tmp_path / 'out', 'file': tmp_path / 'file'}
-    places['file'].write_text('mine')
-    if verb in BAGS:
-        places['file'] = ROOT / 'config' / 'robot.yaml'
-        extra = {'analyse': '--out {dir}', 'identify': '--robot {file} --out {dir}',
-                 'discrepancy': '--robot {file} --out {dir}',
-                 'torsion': '--joint a --stiffness 1'}
-        words = f'{{missing}} {extra.get(verb, "")}'
-    else:
-        words = WRONG[verb]
-    its_tool, start = tool_of(verb)
-    assert its_tool.main([verb, *words.format(**places).split()]) == tool.BAD_INPUT
-    printed, told = capsys.readouterr()
-    assert printed == ''
-    assert told.startswith(f'{start} {verb}: ')
-    assert told.count('\n') == 1
-    assert not places['dir'].exists()
-
-
-@pytest.mark.parametrize(('arguments', 'sentence'), [
-    ('view live --namespace a.b', "--namespace: '/a.b/plant' is no full name of a node"),
-    ('view live --controller arm', "--controller: 'arm' is no full name of a node"),
-    ('urdf --limits {robot}', 'no limits.<joint> is in it'),
-    ('next {empty} --robot {robot} --limits {bridge} --out x', 'name a folder that gms_flex')])
-def test_what_is_wrong_with_an_option_is_said(arguments, sentence, tmp_path, capsys):
-    words = arguments.format(robot=ROOT / 'config' / 'robot.yaml', empty=tmp_path,
-                             bridge=ROOT / 'config' / 'bridge.yaml').split()
-    assert tool.main(words) == tool.BAD_INPUT
-    told = capsys.readouterr().err
-    assert sentence in told and told.count('\n') == 1 and 'Errno' not in told
-
-
-@pytest.mark.parametrize('arguments', [
-    'record --all --out {dir}', 'view live', 'faults --list', 'demo --out {dir}',
-    'demo-identify --out {dir}', 'demo-discrepancy --out {dir}', 'demo-next --out {dir}'])
-def test_without_ros_the_extra_is_named(arguments, tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, 'rclpy', None)  # importing it then fails
-    out = tmp_path / 'out'
-    its_tool, _ = tool_of(arguments.split()[0])
-    assert its_tool.main(arguments.format(dir=out).split()) == tool.BAD_INPUT
-    printed, told = capsys.readouterr()
-    assert printed == '' and told.count('\n') == 1 and "'.[ros]'" in told
-    assert not out.exists()
 
 
 def test_the_next_command_names_a_tool_that_is_not_on_the_path(monkeypatch):
@@ -212,13 +145,6 @@ def test_warnings_of_numpy_stay_away_and_ours_are_sentences(monkeypatch, capsys)
     assert 'PYTHONWARNINGS' not in os.environ
 
 
-def test_findings_collect_no_warning_of_numpy():
-    with own_warnings() as caught:
-        np.nanmean(np.full(2, np.nan))
-        warnings.warn('the bag has gaps', BagWarning, stacklevel=2)
-    assert [str(one.message) for one in caught] == ['the bag has gaps']
-
-
 def test_an_older_python_is_told_what_is_needed():
     done = subprocess.run(
         [sys.executable, '-c', "import sys; sys.version_info = (3, 10, 12, 'final', 0); "
@@ -269,10 +195,6 @@ def test_every_effect_is_listed_with_its_parameters(capsys):
     assert tool.main(['effects', 'backlash']) == tool.OK
     assert capsys.readouterr().out.splitlines() == text.splitlines()[
         text.splitlines().index('backlash: Play in the transmission'):][:2]
-
-
-def test_every_verb_is_among_those_tested_for_bad_input():
-    assert {*VERBS, *OF_BENCH} == {*WRONG, *BAGS, 'completion'}
 
 
 def test_a_finding_that_says_no_is_one(tmp_path, capsys):
@@ -331,22 +253,6 @@ def test_ctrl_c_ends_workers_in_silence(tmp_path):
         130, 'python -m bench score: interrupted; the same command goes on where it was\n')
 
 
-@pytest.mark.parametrize('arguments, sentence', [
-    ('urdf --out {file}/arm.urdf', '{file}/arm.urdf: {file} is a file; name a folder'),
-    ('urdf --out /proc/foo', '/proc/foo: cannot be written (No such file or directory)'),
-    ('simulate --duration 0.1 --out {file}/x',
-     '{file}/x: cannot be written ({file} is a file; name a folder)'),
-    ('info {empty}', '{empty}: is empty (0 bytes)')])
-def test_what_cannot_be_read_or_written_is_named_as_it_was_given(
-        arguments, sentence, tmp_path, capsys):
-    places = {'file': tmp_path / 'file', 'empty': tmp_path / 'empty.mcap'}
-    for place in places.values():
-        place.touch()
-    assert tool.main(arguments.format(**places).split()) == tool.BAD_INPUT
-    told = capsys.readouterr().err
-    assert told == f'gms_flex {arguments.split()[0]}: {sentence.format(**places)}\n'
-
-
 @pytest.mark.parametrize('arguments', [['--help'], ['check-gains'], ['info', '/no/such/bag']])
 def test_no_colour_comes_from_it(arguments):
     """Not even on a terminal, so there is none for NO_COLOR to forbid."""
@@ -375,13 +281,6 @@ def test_the_shell_is_told_what_may_follow(typed, offered, tmp_path):
     tool_in({'_ARGCOMPLETE': '1', '_ARGCOMPLETE_STDOUT_FILENAME': str(answer), 'COMP_LINE': typed,
              'COMP_POINT': str(len(typed)), '_ARGCOMPLETE_IFS': '\n', 'COMP_TYPE': '9'})
     assert offered in [word.strip() for word in answer.read_text().split('\n')]
-
-
-@pytest.mark.parametrize('shell', ['bash', 'zsh', 'fish'])
-def test_each_shell_gets_its_code(shell, capsys):
-    pytest.importorskip('argcomplete')
-    assert tool.main(['completion', shell]) == tool.OK
-    assert 'gms_flex' in capsys.readouterr().out
 
 
 def test_bash_completes_a_verb(tmp_path):

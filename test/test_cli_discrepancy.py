@@ -188,18 +188,6 @@ def test_bad_data_are_named_and_end_the_run(folder, tmp_path, capsys, reversed_t
     assert 'The data are at fault' in page and 'wrong sign' in page
 
 
-def test_forced_on_bad_data_it_ends_with_a_verdict_or_a_sentence(folder, tmp_path, capsys,
-                                                                 reversed_torque):
-    code = run(tmp_path, reversed_torque, '--force', '--max-effects', '1',
-               robot=folder / 'robot.yaml')
-    printed = capsys.readouterr()
-    if code == 2:
-        assert printed.err.startswith('gms_flex discrepancy: ') and '--force' in printed.err
-    else:
-        report = read_json((tmp_path / 'out' / 'report.json').read_text(encoding='utf-8'))
-        assert code == 1 and any('wrong sign' in fault for fault in report['faults'])
-
-
 def test_json_is_printed_and_nothing_else(folder, tmp_path, capsys, reversed_torque):
     assert run(tmp_path, reversed_torque, '--json', robot=folder / 'robot.yaml') == 2
     printed = capsys.readouterr()

@@ -184,12 +184,6 @@ def test_fitted_models_tell_held_out_friction_in_the_order_of_what_they_know(pla
     assert np.all(said['gms_adaptive'] < said['gms_paper'])  # both believe 0.7; one learns
 
 
-def test_a_fit_begins_at_the_friction_of_the_file(arm):
-    same = prediction.scaled(arm[0].friction, np.zeros((10, 2)))
-    np.testing.assert_allclose(same.forward.static, arm[0].friction.forward.static)
-    np.testing.assert_allclose(same.stiffness, arm[0].friction.stiffness)
-
-
 def test_without_a_reference_what_needs_one_is_left_out(plan):
     found = along(simulate(plan), plan.robot)._replace(has_reference=False)
     assert prediction.modes_to_fit(False) == ['stribeck', 'lugre', 'gms_paper']
@@ -228,20 +222,3 @@ def test_the_robot_as_identified_is_the_plant_wherever_it_is_named(arm, tmp_path
         told.append(json.loads(capsys.readouterr().out)['rows'][0]['errors']['nominal'])
     assert told[1] == told[2] > 1.5 * told[0]
     assert str(twice) in (tmp_path / '1' / 'report.html').read_text()
-
-
-@pytest.mark.parametrize(('args', 'sentence'), [
-    (['--fit', '2'], '--fit 2'), (['--draws', '-1'], '--draws -1'), (['--rate', '0'], '--rate 0'),
-    (['nowhere'], 'nowhere'), (['nowhere.yaml'], 'nowhere.yaml'),
-    (['--draws', '0', '--workers', '0'], '--workers 0'),
-    (['bag', '--rate', '100'], '--rate 100: applies to a plant'),
-    (['bag', '--draws', '50'], '--draws 50: applies to a plant'),
-    (['bag', '--seed', '0'], '--seed 0: applies to a plant'),
-    (['--fit', '0.4'], '--fit 0.4: applies to a bag'),
-    (['a.yaml', '--robot', 'b.yaml'], '--robot b.yaml: the plant is a.yaml already'),
-    (['one', 'two'], 'two: give one bag at a time'),
-    (['bag', 'a.yaml'], 'robot files behind --robot'),
-    (['--out', '/proc/cmp'], '--out /proc/cmp: /proc cannot be written')])
-def test_compare_refuses_what_it_cannot_do_or_would_not_use(tmp_path, capsys, args, sentence):
-    assert main(['compare', '--out', str(tmp_path), *args]) == 2
-    assert sentence in capsys.readouterr().err

@@ -11,7 +11,6 @@ from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import (
     cleared,
     drive_torque,
-    fresh_state,
     unexplained,
 )
 from gms_flex_control.dynamics import chain
@@ -79,11 +78,6 @@ def test_the_base_bends_under_the_torque_that_is_given(ideal_robot, gains):
             left.append(np.sqrt(np.mean(uniform_filter1d(
                 unexplained(one, constants)[50:-50, 0], 10) ** 2)))
     assert max(left) < 1.5 * left[0]
-
-
-def test_a_state_before_a_motion_sticks_and_is_unloaded(ideal_robot):
-    state = fresh_state(plant.constants_of(ideal_robot))
-    assert np.all(state.friction.sticking == 1) and not np.any(state.friction.torque)
 
 
 def test_a_late_encoder_is_cleared_where_its_motor_is_quick(ideal_robot):

@@ -9,15 +9,12 @@ from types import SimpleNamespace
 from discrepancy_runs import driven_motion
 from gms_flex_control.discrepancy.evidence import (
     credible,
-    finite,
     log_determinant,
     posterior,
     State,
     state_of,
 )
 from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums, with_effect
-from gms_flex_control.discrepancy.null_simulation import null_simulation
-from gms_flex_control.discrepancy.search import search
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
@@ -123,14 +120,6 @@ def test_probabilities_of_models_sum_to_one_and_follow_the_evidence():
     assert [names for names, _ in posterior([state(0.0, A), state(1.0, A, B)], 1)] == [{B}, set()]
 
 
-def test_evidence_that_is_no_number_speaks_for_nothing():
-    """Nor does the difference of two; probabilities stay numbers."""
-    assert finite(3.0) == 3.0
-    assert {finite(one) for one in (np.nan, np.inf, -np.inf)} == {-np.inf}
-    assert posterior([state(-np.inf, A), state(-np.inf, B)], 0) == [({A}, 0.5), ({B}, 0.5)]
-    assert posterior([state(-np.inf, A), state(7.0, B)], 0) == [({B}, 1.0), ({A}, 0.0)]
-
-
 @pytest.mark.parametrize(('shares', 'mass', 'count'), [
     ((0.96, 0.04), 0.95, 1), ((0.5, 0.3, 0.2), 0.75, 2), ((0.5, 0.3, 0.2), 0.95, 3),
     ((0.94, 0.02, 0.02, 0.02), 0.95, 2), ((1.0,), 0.95, 1)])
@@ -139,15 +128,3 @@ def test_the_credible_set_is_the_smallest_that_holds_enough(shares, mass, count)
     chosen = credible(models, mass)
     assert chosen == models[:count]
     assert sum(shares[:count]) >= mass > sum(shares[:count - 1])
-
-
-@pytest.mark.parametrize('seed', range(2))
-def test_of_a_null_simulation_nothing_is_found(robot, gains, seed):
-    """Noise in torques and columns alike, of another seed than those of the measure."""
-    first = Likelihood([driven_motion(robot, gains, seed=1)], robot)
-    run = null_simulation(first.motions[0], first.constants(robot, np.zeros(len(first.sd))),
-                          np.random.default_rng([7, seed]))
-    found = search(Likelihood([run], robot, seed))
-    assert found.best.key(0) == frozenset()
-    ranked = found.first  # however many sizes of some effect are alike
-    assert len({(one.spec.name, one.spec.joint) for one in ranked}) == len(ranked) > 6

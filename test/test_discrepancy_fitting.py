@@ -48,11 +48,7 @@ def test_bounded_least_squares_lives_with_columns_that_are_alike():
 
 
 def test_a_payload_and_the_inertias_it_resembles_do_not_pull_against_each_other():
-    """
-    Fits that begin with a third of the true mass and with twice as much end at one.
-
-    Encoder noise hides either in some octaves, in which they answer to the cost all the same.
-    """
+    """Fits that begin with a third of the true mass and with twice as much end at one."""
     case = make_case('single', 27, effect='tip_payload', duration=20.0)
     likelihood, (true,), ends = likelihood_of(case), case.truth.effects, []
     for factor in (1.0 / 3.0, 2.0):

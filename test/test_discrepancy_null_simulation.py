@@ -21,12 +21,7 @@ from scipy.ndimage import uniform_filter1d
 
 
 def test_a_null_simulation_belongs_to_its_model_whatever_the_recording_held(ideal_robot, gains):
-    """
-    The recording holds backlash and a tenth of friction as bias; the simulated one neither.
-
-    Its motors stay within 20 mrad of the recording. Up to some 10 Hz, what the model leaves of
-    it is a tenth of what it left before; above there is the encoders' noise.
-    """
+    """The recording holds backlash and a tenth of friction as bias; the simulated one neither."""
     effects = (EffectSpec(name='backlash', joint='joint1', values=(0.005,)),
                EffectSpec(name='motor_torque_bias', joint='joint2', values=(0.01,)))
     motion = driven_motion(replace(ideal_robot, effects=effects), gains)
@@ -59,11 +54,7 @@ def test_a_rigid_axis_is_held_on_its_motion_wherever_its_inertia_stands(inertia)
 
 @pytest.mark.parametrize(('seed', 'gravity'), [(7, True), (10, True), (10, False)])
 def test_a_null_simulation_stands_where_the_recording_stood(seed, gravity):
-    """
-    Under a weight that makes it fall otherwise, and where a soft spring would let it creep.
-
-    The residual of the recording is then what that of such a run is: as large, level for level.
-    """
+    """Under a weight that makes it fall otherwise, and where a soft spring would let it creep."""
     case = make_case('clean', seed, gravity=gravity, duration=40.0)
     motion, robot = motion_of(case.recording, case.truth.robot), case.truth.robot
     again = null_simulation(motion, plant.constants_of(case.nominal), np.random.default_rng(0))

@@ -25,36 +25,6 @@ def test_numbers_are_a_turned_view_of_the_samples(octaves):
     assert [len(part) for part in octaves.parts] == [160, 80, 40, 20, 20]
 
 
-@pytest.mark.parametrize('part', range(5))
-def test_a_tone_is_found_in_its_octave(octaves, part):
-    """In the middle of a band, whose edges are those of halved sampling rates."""
-    highest = 0.5 / 2 ** part
-    frequency = round((0.75 if part < 4 else 0.5) * highest * 320) / 320
-    tone = np.sin(2.0 * np.pi * frequency * np.arange(320) + 0.3)[:, None]
-    numbers = numbers_of(octaves, tone)[:, 0]
-    assert np.sum(numbers[octaves.parts[part]] ** 2) > 0.99 * np.sum(tone ** 2)
-
-
-@pytest.mark.parametrize('moment', [100, 101, 163])
-def test_a_knock_is_found_where_it_was(octaves, moment):
-    """The mean time of its squares is that of the knock, to a number of each octave."""
-    knock = np.zeros((320, 1))
-    knock[moment] = 1.0
-    squares = numbers_of(octaves, knock)[:, 0] ** 2
-    for part, spacing in zip(octaves.parts, octaves.spacings, strict=True):
-        mean = squares[part] @ octaves.time[part] / squares[part].sum()
-        assert abs(mean - moment) <= spacing
-
-
-def test_the_spread_of_coloured_noise_is_foreseen(octaves):
-    """Many runs of noise behind a difference, whose power is 4 sin(w / 2)^2."""
-    power = 4.0 * np.sin(np.pi * np.arange(320) / 320)[:, None] ** 2
-    white = np.random.default_rng(3).standard_normal((320, 2000))
-    numbers = numbers_of(octaves, white - np.roll(white, 1, axis=0))
-    for part, foreseen in zip(octaves.parts, octaves.spread(power), strict=True):
-        assert np.mean(numbers[part] ** 2) == pytest.approx(foreseen[0], rel=0.05)
-
-
 def test_rows_of_even_noise_are_white_and_of_unit_variance():
     """Coloured noise that two equations share: rows of a run that was not measured are plain."""
     rng, period = np.random.default_rng(0), 4e-3
@@ -88,12 +58,7 @@ def test_where_an_equation_tells_nothing_its_residual_counts_nothing():
 
 
 def test_slow_noise_of_rests_does_not_hide_what_is_slow_in_motion():
-    """
-    Torque as large as white noise, which at rest wanders slowly by twenty times as much.
-
-    In motion alone its rows would have the squares of its samples; weighed by what noise is on
-    average, a thousandth of them.
-    """
+    """Torque as large as white noise, which at rest wanders slowly by twenty times as much."""
     rng, period = np.random.default_rng(5), 4e-3
     noise = rng.standard_normal((7, 15000, 1))
     slow = uniform_filter1d(rng.standard_normal(noise.shape), 250, axis=1)

@@ -5,10 +5,8 @@
 
 from dataclasses import replace
 
-import core_runs
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
-from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.arm import ArmParams
 import numpy as np
 import pytest
@@ -142,41 +140,6 @@ def test_the_controllers_inverse_dynamics_and_its_derivatives_agree_with_the_mat
                                atol=1e-5)
 
 
-@pytest.mark.parametrize('n', [1, 2, 3])
-def test_energy_is_that_of_points_springs_and_motors(n):
-    arm, (q, dq, motor, dmotor) = random_arm(n), motion(n, 3)(0.4)
-    kinetic, potential = kinetic_and_potential(q, dq, arm)
-    flexible = ~arm.rigid
-    springs = 0.5 * np.sum(arm.stiffness[flexible] * (motor - q)[flexible] ** 2)
-    motors = 0.5 * np.sum((arm.motor_inertia * dmotor ** 2)[flexible])
-    assert core_runs.energy(q, dq, motor, dmotor, arm) == pytest.approx(
-        kinetic + potential + springs + motors, rel=1e-12)
-
-
-def test_the_default_robot_has_the_constants_its_file_states(robot):
-    """M11 = 0.31175 + 0.105 cos q2, M12 = 0.03 + 0.0525 cos q2, M22 = 0.03 kg m^2."""
-    for elbow in (0.0, 0.7, 2.0):
-        m = chain.matrices([0.3, elbow], np.zeros(2), np.zeros(2), np.zeros(2), robot.arm)
-        cos = np.cos(elbow)
-        np.testing.assert_allclose(m.mass, [[0.31175 + 0.105 * cos, 0.03 + 0.0525 * cos],
-                                            [0.03 + 0.0525 * cos, 0.03]], rtol=1e-12)
-    m = chain.matrices([0.3, 0.7], [1.0, 2.0], np.zeros(2), np.zeros(2), robot.arm)
-    h = -0.0525 * np.sin(0.7)
-    np.testing.assert_allclose(m.coriolis @ [1.0, 2.0], [h * (2 * 1 * 2 + 4), -h], rtol=1e-12)
-    np.testing.assert_array_equal(m.gravity, [0.0, 0.0])
-
-
-def test_a_pendulum_that_reads_zero_where_it_hangs_feels_no_gravity_there():
-    """Gravity acts along -y: an offset of -pi/2 from the x axis points down."""
-    one, none = np.ones(1), np.zeros(1)
-    arm = ArmParams(kind='decoupled', mass=2 * one, length=none, com=0.3 * one, inertia=none,
-                    motor_inertia=none, stiffness=np.inf * one, damping=none, gravity=9.81,
-                    offset=-0.5 * np.pi * one)
-    for q in (0.0, 0.4, 2.0):
-        torque = chain.inverse_dynamics([q], [0.0], [0.0], arm)
-        np.testing.assert_allclose(torque, 2 * 0.3 * 9.81 * np.sin(q), atol=1e-12)
-
-
 @pytest.mark.parametrize('kind', ['planar', 'decoupled'])
 @pytest.mark.parametrize('n', [1, 2, 3])
 def test_inverse_dynamics_is_the_left_side_of_the_link_equation(n, kind):
@@ -193,15 +156,6 @@ def test_inverse_dynamics_is_the_left_side_of_the_link_equation(n, kind):
                                    rtol=1e-12, atol=1e-13)
 
 
-@pytest.mark.parametrize('kind', ['planar', 'decoupled'])
-def test_inverse_dynamics_undoes_the_accelerations_of_the_kernel(kind):
-    arm = random_arm(3, kind=kind)
-    q, dq, ddq, _ = motion(3, seed=5)(0.9)
-    work = records.build(chain.work_layout(3), tau=chain.inverse_dynamics(q, dq, ddq, arm))
-    chain.accelerations(q, dq, chain.constants_of(arm), work)
-    np.testing.assert_allclose(work.acceleration, ddq, rtol=1e-10)
-
-
 def test_decoupled_axes_do_not_feel_each_other():
     """Each has its inertia and gravity of its own, whatever the others do."""
     arm = random_arm(3, kind='decoupled')
@@ -216,19 +170,3 @@ def test_decoupled_axes_do_not_feel_each_other():
         alone = replace(arm, kind='planar', **{name: getattr(arm, name)[[j]] for name in names})
         assert chain.matrices(*(x[[j]] for x in (q, dq, ddq, d3q)), alone).gravity == (
             pytest.approx(m.gravity[[j]], rel=1e-14))
-
-
-@pytest.mark.parametrize(('changes', 'sentence'), [
-    ({'kind': 'spatial'}, r"arm.kind must be one of planar, decoupled, urdf, got 'spatial'"),
-    ({'inertia': [-0.1, 0.1]}, r'inertia must be at least 0, got'),
-    ({'mass': [np.nan, 1.0]}, r'mass must be finite, got \[nan'),
-    ({'mass': [1.0, 1.0, 1.0]}, r'mass must have shape \(2,\) \(one entry per joint\)'),
-    ({'stiffness': [0.0, 1.0]}, r'stiffness must be above 0 \(.inf for a rigid joint\)'),
-    ({'motor_inertia': [0.0, 0.0]}, r'motor_inertia must be above 0 where the joint is flexible'),
-    ({'inertia': [0.0, 0.0], 'com': [0.0, 0.1]}, r'each link needs inertia or mass away'),
-    ({'gravity': [1.0, 2.0, 3.0]}, r'gravity must have shape \(2,\)'),
-    ({'gravity': np.inf}, r'gravity must be finite'),
-])
-def test_an_impossible_arm_is_refused(changes, sentence):
-    with pytest.raises(ParameterError, match=sentence):
-        random_arm(2, **{'stiffness': [5.0, np.inf]} | changes)

@@ -14,7 +14,7 @@ from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Change, Stage, Term
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.simulation import loop, plant
+from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory.builders import hold
 import numpy as np
 import pytest
@@ -37,66 +37,57 @@ def base_after(time, push, frequency, inertia, damping):
                      (0.0, time), [0.0, 0.0], rtol=1e-13, atol=1e-30).y[0, -1]
 
 
-# values of the parameters, the signal changed, and what it becomes of signals s and values p
+# values of the parameters, the signal changed, and what it becomes of signals s and the values
 EQUATIONS = {
-    'actuator_deadzone': ([0.02], sig.TORQUE, lambda s, p: s[sig.TORQUE] - clip(
-        s[sig.TORQUE], p[0])),
-    'actuator_lag': ([0.005], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (
-        1 + p[0] / DT * np.expm1(-DT / p[0]))),
-    'actuator_saturation': ([0.1], sig.TORQUE, lambda s, p: clip(s[sig.TORQUE], p[0])),
-    'backlash': ([0.03], sig.TORSION, lambda s, p: s[sig.TORSION] - clip(s[sig.TORSION], p[0])),
-    'base_flexibility': ([8.0, 0.5, 0.05], sig.SENSED_LINK, lambda s, p: s[sig.SENSED_LINK] - (
-        base_after(DT, s[sig.FRICTION] - s[sig.TORQUE], *p))),
-    'constant_link_torque': ([-0.02], sig.LINK_TORQUE, lambda s, p: s[sig.LINK_TORQUE] + p[0]),
-    'encoder_skew': ([0.003], sig.SENSED_MOTOR, lambda s, p: s[sig.SENSED_MOTOR] - (
-        p[0] * s[sig.DQ_MOTOR] - p[0] ** 2 / 2 * s[sig.DDQ_MOTOR])),
-    'end_stop': ([0.5, 30.0], sig.LINK_TORQUE, lambda s, p: s[sig.LINK_TORQUE] - p[1] * max(
-        s[sig.Q_LINK] - p[0], 0.0)),
-    'friction_asymmetry': ([0.2], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
-        1 + p[0] * np.sign(s[sig.DQ_LINK]))),
-    'friction_backlash': ([0.02, 0.003, 0.01], sig.FRICTION, lambda s, p: s[sig.FRICTION]),
-    'friction_hysteresis': ([0.02, 0.01], sig.FRICTION, lambda s, p: s[sig.FRICTION]),  # begins so
-    'friction_drift': ([0.3, 50.0], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
-        1 + p[0] * s[sig.TIME] / p[1])),
-    'input_delay': ([DT / 4], sig.TORQUE, lambda s, p: s[sig.TORQUE] * 0.75),
-    'kinematic_error': ([0.01, 0.4], sig.TORSION, lambda s, p: s[sig.TORSION] + p[0] * np.sin(
-        2 * s[sig.Q_MOTOR] + p[1])),
-    'link_encoder_eccentricity': ([0.02, 0.3], sig.SENSED_LINK, lambda s, p: (
-        s[sig.SENSED_LINK] + p[0] * np.sin(s[sig.Q_LINK] + p[1]))),
-    'load_friction': ([0.1, 0.5], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
-        1 + p[0] * abs(s[sig.SPRING]) / p[1])),
-    'low_speed_friction': ([-0.3, 0.05], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
-        1 + p[0] * np.exp(-abs(s[sig.DQ_LINK]) / p[1]))),
-    'motor_coulomb': ([0.02], sig.MOTOR_TORQUE, lambda s, p: s[sig.MOTOR_TORQUE] - p[0] * clip(
-        s[sig.DQ_MOTOR] / 1e-3, 1.0)),
-    'motor_inertia_coupling': ([0.004], sig.MOTOR_TORQUE, lambda s, p: (
-        s[sig.MOTOR_TORQUE] - p[0] * s[sig.DDQ_LINK - sig.WIDTH])),
-    'motor_torque_bias': ([0.01], sig.MOTOR_TORQUE, lambda s, p: s[sig.MOTOR_TORQUE] + p[0]),
-    'motor_viscous': ([0.03], sig.MOTOR_TORQUE, lambda s, p: (
-        s[sig.MOTOR_TORQUE] - p[0] * s[sig.DQ_MOTOR])),
-    'position_friction': ([0.2, 3.0, 0.5], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
-        1 + p[0] * np.cos(p[1] * s[sig.Q_LINK] + p[2]))),
-    'quadratic_drag': ([0.05], sig.LINK_TORQUE, lambda s, p: (
-        s[sig.LINK_TORQUE] - p[0] * s[sig.DQ_LINK] * abs(s[sig.DQ_LINK]))),
-    'recording_delay': ([0.003], sig.SENSED_LINK, lambda s, p: s[sig.SENSED_LINK] - (
-        p[0] * s[sig.DQ_LINK] - p[0] ** 2 / 2 * s[sig.DDQ_LINK])),
-    'spring_cubic': ([12.0], sig.SPRING, lambda s, p: s[sig.SPRING] + p[0] * s[sig.TORSION] ** 3),
-    'spring_damping': ([0.02], sig.SPRING, lambda s, p: (
-        s[sig.SPRING] + p[0] * s[sig.TORSION_RATE])),
-    'spring_hysteresis': ([0.01, 0.005], sig.SPRING, lambda s, p: s[sig.SPRING]),  # begins so
-    'spring_offset': ([0.01], sig.TORSION, lambda s, p: s[sig.TORSION] + p[0]),
-    'stiffness_drift': ([0.2, 50.0], sig.SPRING, lambda s, p: s[sig.SPRING] * (
-        1 + p[0] * s[sig.TIME] / p[1])),
-    'supply_sag': ([0.05, 2.0], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (
-        1 + p[0] * (s[sig.SUPPLY] - p[1]) * (s[sig.SUPPLY] > 0))),
-    'torque_gain': ([0.1], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (1 + p[0])),
-    'torque_ripple': ([0.01, 12.0, 0.3], sig.MOTOR_TORQUE, lambda s, p: (
-        s[sig.MOTOR_TORQUE] + p[0] * np.sin(p[1] * s[sig.Q_MOTOR] + p[2]))),
-    'viscous_asymmetry': ([0.03], sig.FRICTION, lambda s, p: (
-        s[sig.FRICTION] + p[0] * abs(s[sig.DQ_LINK]))),
-    'viscous_error': ([0.03], sig.FRICTION, lambda s, p: (
-        s[sig.FRICTION] + p[0] * s[sig.DQ_LINK])),
-}
+    'actuator_deadzone': ([0.02], 'torque', lambda s, a: s.torque - clip(s.torque, a)),
+    'actuator_lag': ([0.005], 'torque', lambda s, a: s.torque * (1 + a / DT * np.expm1(-DT / a))),
+    'actuator_saturation': ([0.1], 'torque', lambda s, a: clip(s.torque, a)),
+    'backlash': ([0.03], 'torsion', lambda s, a: s.torsion - clip(s.torsion, a)),
+    'base_flexibility': ([8.0, 0.5, 0.05], 'sensed_link', lambda s, *p: (
+        s.sensed_link - base_after(DT, s.friction - s.torque, *p))),
+    'constant_link_torque': ([-0.02], 'link_torque', lambda s, a: s.link_torque + a),
+    'encoder_skew': ([0.003], 'sensed_motor', lambda s, a: (
+        s.sensed_motor - a * s.dq_motor + a ** 2 / 2 * s.ddq_motor)),
+    'end_stop': ([0.5, 30.0], 'link_torque', lambda s, a, b: (
+        s.link_torque - b * max(s.q_link - a, 0.0))),
+    'friction_asymmetry': ([0.2], 'friction', lambda s, a: (
+        s.friction * (1 + a * np.sign(s.dq_link)))),
+    'friction_backlash': ([0.02, 0.003, 0.01], 'friction', lambda s, *p: s.friction),
+    'friction_hysteresis': ([0.02, 0.01], 'friction', lambda s, *p: s.friction),  # begins so
+    'friction_drift': ([0.3, 50.0], 'friction', lambda s, a, b: s.friction * (1 + a * s.time / b)),
+    'input_delay': ([DT / 4], 'torque', lambda s, a: s.torque * 0.75),
+    'kinematic_error': ([0.01, 0.4], 'torsion', lambda s, a, b: (
+        s.torsion + a * np.sin(2 * s.q_motor + b))),
+    'link_encoder_eccentricity': ([0.02, 0.3], 'sensed_link', lambda s, a, b: (
+        s.sensed_link + a * np.sin(s.q_link + b))),
+    'load_friction': ([0.1, 0.5], 'friction', lambda s, a, b: (
+        s.friction * (1 + a * abs(s.spring) / b))),
+    'low_speed_friction': ([-0.3, 0.05], 'friction', lambda s, a, b: (
+        s.friction * (1 + a * np.exp(-abs(s.dq_link) / b)))),
+    'motor_coulomb': ([0.02], 'motor_torque', lambda s, a: (
+        s.motor_torque - a * clip(s.dq_motor / 1e-3, 1.0))),
+    'motor_inertia_coupling': ([0.004], 'motor_torque', lambda s, a: (
+        s.motor_torque - a * s[sig.DDQ_LINK - sig.WIDTH])),
+    'motor_torque_bias': ([0.01], 'motor_torque', lambda s, a: s.motor_torque + a),
+    'motor_viscous': ([0.03], 'motor_torque', lambda s, a: s.motor_torque - a * s.dq_motor),
+    'position_friction': ([0.2, 3.0, 0.5], 'friction', lambda s, a, b, c: (
+        s.friction * (1 + a * np.cos(b * s.q_link + c)))),
+    'quadratic_drag': ([0.05], 'link_torque', lambda s, a: (
+        s.link_torque - a * s.dq_link * abs(s.dq_link))),
+    'recording_delay': ([0.003], 'sensed_link', lambda s, a: (
+        s.sensed_link - a * s.dq_link + a ** 2 / 2 * s.ddq_link)),
+    'spring_cubic': ([12.0], 'spring', lambda s, a: s.spring + a * s.torsion ** 3),
+    'spring_damping': ([0.02], 'spring', lambda s, a: s.spring + a * s.torsion_rate),
+    'spring_hysteresis': ([0.01, 0.005], 'spring', lambda s, *p: s.spring),  # begins so
+    'spring_offset': ([0.01], 'torsion', lambda s, a: s.torsion + a),
+    'stiffness_drift': ([0.2, 50.0], 'spring', lambda s, a, b: s.spring * (1 + a * s.time / b)),
+    'supply_sag': ([0.05, 2.0], 'torque', lambda s, a, b: (
+        s.torque * (1 + a * (s.supply - b) * (s.supply > 0)))),
+    'torque_gain': ([0.1], 'torque', lambda s, a: s.torque * (1 + a)),
+    'torque_ripple': ([0.01, 12.0, 0.3], 'motor_torque', lambda s, a, b, c: (
+        s.motor_torque + a * np.sin(b * s.q_motor + c))),
+    'viscous_asymmetry': ([0.03], 'friction', lambda s, a: s.friction + a * abs(s.dq_link)),
+    'viscous_error': ([0.03], 'friction', lambda s, a: s.friction + a * s.dq_link)}
 # what else a term may change
 FURTHER = {'backlash': [sig.TORSION_RATE], 'base_flexibility': [sig.SENSED_MOTOR],
            'motor_inertia_coupling': [sig.LINK_TORQUE - sig.WIDTH],
@@ -117,6 +108,9 @@ class Row:
 
     def __init__(self, signals, joint):
         self._flat, self._first = signals.reshape(-1), joint * sig.WIDTH
+
+    def __getattr__(self, name):
+        return self[getattr(sig, name.upper())]
 
     def __getitem__(self, k):
         return self._flat[self._first + k]
@@ -155,11 +149,11 @@ def test_every_effect_of_the_catalogue_has_its_equation_here():
 def test_a_term_does_what_its_equation_says(name):
     """On its joint and its signal alone, over many random states."""
     values, changed, equation = EQUATIONS[name]
-    row = row_of(name)
+    row, changed = row_of(name), getattr(sig, changed.upper())
     for seed in range(50):
         before = random_signals(3, seed)
         after = run_compiled(name, values, before)
-        assert after[row, changed] == pytest.approx(equation(Row(before, row), values), rel=1e-12,
+        assert after[row, changed] == pytest.approx(equation(Row(before, row), *values), rel=1e-12,
                                                     abs=1e-15)
         if name == 'backlash' and abs(before[1, sig.TORSION]) < values[0]:
             assert after[1, sig.TORSION_RATE] == 0.0
@@ -283,20 +277,16 @@ def test_every_name_in_the_catalogue_is_that_of_one_effect():
 @pytest.mark.parametrize(('wrong', 'sentence'), [
     ('backlsh', "effect 'backlsh' is not in the catalogue; did you mean 'backlash'?"),
     ('cubic_spring', "did you mean 'spring_cubic'?"),
-    ('zzz', 'is not in the catalogue; known: actuator_deadzone, '),
-])
+    ('zzz', 'is not in the catalogue; known: actuator_deadzone, ')])
 def test_an_unknown_effect_is_refused_with_the_nearest(wrong, sentence):
-    with pytest.raises(ParameterError) as error:
+    with pytest.raises(ParameterError, match=re.escape(sentence)):
         registry.find(wrong)
-    assert sentence in str(error.value)
 
 
 @pytest.mark.parametrize(('given', 'sentence'), [
     ({}, r'effects.j.backlash.half_gap \[rad\] is missing: half width of the play'),
-    ({'half_gap': -0.1}, 'half_gap must be a number from 0 to inf rad, got -0.1'),
-    ({'half_gap': np.nan}, 'must be a number from 0 to inf rad, got nan'),
-    ({'half_gap': np.inf}, 'must be a number from 0 to inf rad, got inf'),
-])
+    *(({'half_gap': value}, f'half_gap must be a number from 0 to inf rad, got {value}')
+      for value in (-0.1, np.nan, np.inf))])
 def test_values_an_effect_does_not_allow_are_refused(given, sentence):
     with pytest.raises(ParameterError, match=sentence):
         registry.find('backlash').values(given, 'effects.j.backlash')
@@ -421,16 +411,6 @@ def test_a_payload_adds_the_energy_of_a_mass_at_the_tip(ideal_robot):
     assert added == pytest.approx(0.5 * 0.25 * tip @ tip, rel=1e-12)
 
 
-def test_the_plant_takes_changes_and_terms_together(ideal_robot):
-    effects = (EffectSpec(name='torque_gain', joint='joint1', values=(0.1,)),
-               EffectSpec(name='stiffness_error', joint='joint1', values=(0.2,)))
-    command = np.full((200, 2), 0.3)
-    both = push_plant(replace(ideal_robot, effects=effects), command, 2e-3)
-    softer = replace(ideal_robot, arm=replace(ideal_robot.arm, stiffness=[1.8, 1.5]))
-    by_hand = push_plant(softer, command * [1.1, 1.0], 2e-3)
-    np.testing.assert_allclose(both, by_hand, rtol=0, atol=1e-12)
-
-
 def test_a_sensor_effect_changes_what_is_measured_and_not_what_is_true(ideal_robot, gains):
     spec = EffectSpec(name='link_encoder_eccentricity', joint='joint2', values=(0.02, 0.5))
     robot = replace(ideal_robot, effects=(spec,))
@@ -439,18 +419,3 @@ def test_a_sensor_effect_changes_what_is_measured_and_not_what_is_true(ideal_rob
     np.testing.assert_allclose(measured[:, 1], true[:, 1] + 0.02 * np.sin(true[:, 1] + 0.5),
                                rtol=1e-14)
     np.testing.assert_array_equal(measured[:, 0], true[:, 0])
-
-
-def test_stepping_gives_the_same_bits_as_the_compiled_loop(ideal_robot):
-    """A plant with effects stepped from Python, sample by sample."""
-    effects = tuple(EffectSpec(name=name, joint='joint1', values=tuple(EQUATIONS[name][0]))
-                    for name in ('actuator_lag', 'spring_cubic', 'spring_hysteresis',
-                                 'position_friction', 'torque_ripple'))
-    robot = replace(ideal_robot, effects=effects)
-    command = 0.3 * np.sin(np.arange(100)[:, None] * [0.02, 0.03])
-    run = push_plant(robot, command, 2e-3, substeps=5)
-    state, work = plant.init(robot), plant.workspace(2)
-    for k in range(100):
-        plant.advance(state, command[k], k * 2e-3, 2e-3, 5, plant.constants_of(robot), work)
-        np.testing.assert_array_equal(state.q_link, run[k, 0])
-        np.testing.assert_array_equal(state.dq_motor, run[k, 3])

@@ -48,11 +48,7 @@ print( sys.path) ; print(os.path)
 @pytest.mark.linter
 @pytest.mark.skipif(RUFF is None, reason='ruff is not installed')
 def test_ruff_sees_what_flake8_and_its_plugins_see(tmp_path):
-    """
-    In the same lines, of the same families of rules; so it may look in flake8's place.
-
-    ruff reports the order of imports at the first one.
-    """
+    """In the same lines, of the same families of rules; so it may look in flake8's place."""
     (tmp_path / 'bad.py').write_text(BAD)
     _, errors = main.main_with_errors(argv=[str(tmp_path / 'bad.py')])
     found = subprocess.run([RUFF, 'check', '--output-format', 'json', '--no-cache', '--config',

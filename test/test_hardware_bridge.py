@@ -256,14 +256,6 @@ def test_outward_torque_ends_at_the_limit_and_inward_torque_begins():
     assert run.tick(30)[-1] == -0.2
 
 
-def test_measured_efforts_are_reported_as_torque_where_there_are_some():
-    run = Run().enabled()
-    assert run.bridge.robot.applied[0] == pytest.approx(0.5)  # as given
-    run.now += 2 * MS
-    run.bridge.take_state(0, ['m', 'l'], [0.0, 0.0], (), [0.37, 9.0], run.now, run.now)
-    assert run.bridge.robot.applied[0] == 0.37
-
-
 def test_an_effort_under_a_name_that_no_encoder_has_is_measured_while_it_comes():
     joint_map = JointMap(('j',), [Reading(name='l')], [None],
                          [Actuation(name='a', torque_constant=2.0)])

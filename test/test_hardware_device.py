@@ -172,16 +172,6 @@ def test_the_robot_ends_its_torque_by_itself_when_nobody_writes(fake):
     assert report(process)['torque'] == [0.0, 0.0] and report(process)['quiet'] >= 1
 
 
-def test_lost_and_changed_bytes_are_counted_and_survived(fake):
-    process, device = fake
-    samples(device, 5)
-    order(process, 'drop 7')
-    samples(device, 20)
-    order(process, 'corrupt 3')
-    samples(device, 50)
-    assert device.figures()['frames broken'] >= 3 and device.figures()['frames lost'] >= 4
-
-
 def test_a_robot_that_dies_is_a_broken_link_that_says_so(fake):
     process, device = fake
     samples(device, 5)

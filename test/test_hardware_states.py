@@ -64,16 +64,6 @@ def test_angles_and_rates_follow_sign_gear_and_offset():
     np.testing.assert_allclose(sides[2:], [[-0.2, -1.0], [-0.4, -2.0]])  # rigid: one encoder
 
 
-def test_power_is_the_same_on_both_sides_of_the_gear():
-    """Torque times rate at the joint is torque times rate at the shaft."""
-    mapped = joint_map()
-    torque = np.array([3.0, 0.0])
-    current = mapped.efforts(torque)[0]
-    shaft_rate = 20.0
-    joint_rate = shaft_rate * mapped.slope[2]
-    assert torque[0] * joint_rate == pytest.approx(0.05 * current * shaft_rate)
-
-
 def test_efforts_go_out_in_the_robots_order_and_come_back():
     mapped = joint_map(order=('b', 'a'))
     np.testing.assert_allclose(mapped.efforts(np.array([5.0, 0.25])), [0.25, -1.0])
@@ -91,7 +81,10 @@ def test_efforts_go_out_in_the_robots_order_and_come_back():
     (lambda: Actuation(name='x', torque_constant=0.0), 'torque_constant must be above 0'),
     (lambda: joint_map(order=('a', 'a')), 'must name each of'),
     (lambda: JointMap(('a',), [Reading(name='x')], [Reading(name='x')], [Actuation(name='x')]),
-     "both called 'x'")])
+     "both called 'x'"),
+    (lambda: JointMap(('a', 'b'), [Reading(name='la'), Reading(name='lb')], [None, None],
+                      [Actuation(name='m'), Actuation(name='m')]),
+     "two actuators are both called 'm'")])
 def test_a_mapping_that_makes_no_sense_is_refused(make, words):
     with pytest.raises(ParameterError, match=words):
         make()
@@ -174,12 +167,6 @@ def test_a_refused_message_lays_no_claim_to_its_names():
     with pytest.raises(ReadingError, match='position nan'):
         take(merged, ['la', 'lb', 'ma'], [NAN, 0.0, 0.0], MS, source=0)
     assert take(merged, ['la', 'lb', 'ma'], [0.0] * 3, 2 * MS, source=1)
-
-
-def test_two_joints_do_not_share_an_actuator():
-    with pytest.raises(ParameterError, match="two actuators are both called 'm'"):
-        JointMap(('a', 'b'), [Reading(name='la'), Reading(name='lb')], [None, None],
-                 [Actuation(name='m'), Actuation(name='m')])
 
 
 def test_a_name_from_two_sources_is_refused_and_a_missing_one_is_named():

@@ -7,12 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from gms_flex_control.data.csv_import import import_csv
-from gms_flex_control.dynamics.chain import inverse_dynamics
-from gms_flex_control.identification.arm_fit import axis_of, estimate_arm, with_axis
+from gms_flex_control.identification.arm_fit import estimate_arm
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.axis_fit import fit_axis, fit_motor, held_torque, rows_of
 from gms_flex_control.identification.base_parameters import (
-    base_regressors,
     base_values,
     nearest_arm,
 )
@@ -75,21 +73,6 @@ def test_no_ripple_is_made_up_where_there_is_none():
     take = pendulum()
     arm_fit = estimate_arm([take], rigid_joints(take.joints))
     assert arm_fit.ripples == (None,) and not arm_fit.robot.effects
-
-
-def test_an_axis_put_into_the_arm_has_the_torque_it_was_put_in_with():
-    arm = with_axis(rigid_joints(pendulum().joints).arm, 0, 0.02, 0.3, -0.4)
-    assert axis_of(arm, 0) == pytest.approx((0.02, 0.3, -0.4))
-    for q in (-1.0, 0.3, 2.0):
-        assert inverse_dynamics([q], [0.0], [2.0], arm) == pytest.approx(
-            0.04 + 0.3 * np.cos(q) - 0.4 * np.sin(q))
-
-
-def test_base_regressors_make_the_inverse_dynamics(robot):
-    arm = replace(robot.arm, gravity=9.81, offset=[0.3, -0.2])
-    q, dq, ddq = np.random.default_rng(0).normal(size=(3, 50, 2))
-    torque = base_regressors(q, dq, ddq, arm, True) @ base_values(arm, True)
-    np.testing.assert_allclose(torque, inverse_dynamics(q, dq, ddq, arm), rtol=1e-10, atol=1e-12)
 
 
 def test_the_nearest_arm_is_possible_even_for_impossible_base_parameters(robot):

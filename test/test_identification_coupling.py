@@ -5,6 +5,7 @@
 
 from functools import cache
 
+from faulty import ROOT, UNLIKE
 from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.identification.assumed_robot import believed_model
 from gms_flex_control.identification.coordinates import Coordinates
@@ -13,7 +14,6 @@ from gms_flex_control.identification.objective import held_out, Objective
 from gms_flex_control.identification.prediction_error import coupling_sentences
 import numpy as np
 import pytest
-from test_identification_checks import ROOT, UNLIKE
 
 
 @cache

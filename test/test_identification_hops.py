@@ -3,12 +3,10 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Hops leave wrong hollows of a rough cost, coarse looks at the data come first."""
 
-from gms_flex_control.identification import multi_start as search
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.least_squares import Prior, refine
 from gms_flex_control.identification.multi_start import multi_start
-from gms_flex_control.identification.objective import Bundle, Evaluation
-from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.identification.objective import Evaluation
 import numpy as np
 import pytest
 
@@ -61,33 +59,3 @@ def test_a_start_in_the_best_hollow_gains_nothing():
                         np.random.default_rng(0), 8)
     assert found.ends[0] == pytest.approx(TRUTH, abs=1e-6)
     assert found.gain == pytest.approx(1.0)
-
-
-def bundle(period):
-    """Return a Bundle without data of two joints."""
-    arm = ArmParams(kind='decoupled', mass=[0.0] * 2, length=[0.0] * 2, com=[0.0] * 2,
-                    inertia=[0.03] * 2, motor_inertia=[0.005] * 2, stiffness=[1.5] * 2,
-                    damping=[0.0] * 2)
-    return Bundle((), arm, period, np.full(2, COUNT / 2), np.array([10.0, 20.0]), (None,) * 2)
-
-
-def test_hops_begin_coarse_with_a_soft_observer_and_end_fine_with_its_own():
-    """Coarse samples and a soft observer leave fewer hollows, fine and full tell the most."""
-    looks = [search.looked_at(bundle(1e-3), *look) for look in search.LEVELS]
-    periods, observers = [b.period for b in looks], np.array([b.observer for b in looks])
-    assert periods == sorted(periods, reverse=True)
-    assert observers[0] == pytest.approx([5.0, 10.0])
-    assert observers[-1] == pytest.approx([10.0, 20.0])
-
-
-def test_what_good_ends_differ_by_is_kept_when_the_same_look_is_taken_again(monkeypatch):
-    """A later round that finds one good end only does not make the intervals narrow."""
-    fit = search.JointFit(COORDINATES, TRUTH, PRIOR, TRUTH, (),
-                          np.full(COORDINATES.size, 0.2), (TRUTH,))
-    monkeypatch.setattr(search, 'Objective', lambda *args: Rippled())
-    thetas = [COORDINATES.unpack(TRUTH)[0]] * 2
-    kept, afresh = (search.searched(bundle(1e-3), 0, thetas, fit,
-                                    np.random.default_rng(0), 5, False, again)[0]
-                    for again in (True, False))
-    assert np.all(kept.sampling >= 0.2)
-    assert np.all(afresh.sampling < 0.2)

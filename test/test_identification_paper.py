@@ -5,21 +5,14 @@
 
 from dataclasses import replace
 
-from core_runs import step_friction
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.friction import gms
-from gms_flex_control.friction.gms import steady_friction
 from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
-from gms_flex_control.identification.paper.experiments import believable, Piece
 from gms_flex_control.identification.paper.method import (
-    fit_attraction,
     fit_map,
     fit_paper,
-    load_blocks,
     N_BLOCKS,
     steady_torque,
 )
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
 import numpy as np
 from paper_experiment import experiment, hidden, unnamed
 import pytest
@@ -113,47 +106,3 @@ def test_intervals_of_the_map_hold_the_truth_as_often_as_they_say():
                        for i, value in zip(intervals, truth, strict=True)])
     coverage = np.mean(inside, axis=0)
     assert np.all((coverage >= 0.9) & (coverage <= 0.99)), coverage
-
-
-def test_break_away_torque_below_that_of_slow_motion_is_left_out():
-    velocity = np.array([0.0, 0.0, 0.01, 0.1, 1.0, -0.01, -1.0])
-    torque = np.array([0.12, 0.09, 0.1, 0.09, 0.13, -0.1, -0.15])
-    np.testing.assert_array_equal(believable(velocity, torque), [True, False, *[True] * 5])
-
-
-def test_springs_that_slip_are_the_blocks_of_the_model_at_one_level():
-    """Against friction.gms with F_s = F_c over a path with reversals."""
-    level, stiffness = 0.1, np.array([5.0, 20.0, 80.0])
-    one = StribeckParams(static=[level], coulomb=[level], velocity=[0.01], viscous=[0.0])
-    params = FrictionParams(forward=one, backward=one, stiffness=[stiffness],
-                            weight=[[1 / 3] * 3], attraction=[1.0])
-    moved = np.diff(0.01 * np.sin(np.linspace(0, 12, 500)) * np.linspace(0.1, 1, 500))
-    state, expected = gms.init(params), []
-    for step in moved:
-        state, tau = step_friction(state, np.array([step]), 1e-3, params)
-        expected.append(tau[0])
-    torque = np.empty(len(moved) + 1)
-    load_blocks(np.append(moved, 0.0), np.full(len(moved) + 1, level), stiffness, 1 / 3, 0.0,
-                torque)
-    np.testing.assert_allclose(torque[1:], expected, atol=1e-12)
-
-
-def test_attraction_is_found_where_equation_7_holds():
-    """Slipping friction integrated in small steps, with a map that is 1 % too high."""
-    period, fine, c = 1e-3, 20, 1.3
-    one = StribeckParams(static=[0.11], coulomb=[0.09], velocity=[0.02], viscous=[0.05])
-    params = FrictionParams(forward=one, backward=one, stiffness=[[1.0]], weight=[[1.0]],
-                            attraction=[c])
-    time = period / fine * np.arange(fine * 6000)
-    rate = 0.03 * (1 + 0.7 * np.sin(2 * np.pi * time / 0.8))
-    slip = np.empty(len(time))
-    slip[0] = 0.1
-    levels = steady_friction(rate[:, None], params)[:, 0] - 0.05 * rate
-    for k in range(1, len(time)):
-        slip[k] = slip[k - 1] + period / fine * c * (1 - slip[k - 1] / levels[k - 1])
-    rate, friction = rate[::fine], (slip + 0.05 * rate)[::fine]
-    piece = Piece(np.cumsum(rate) * period, rate, friction, period, 100, 0)
-    theta = np.tile([0.1111, 0.0909, 0.02, 0.05], 2)
-    attraction, interval = fit_attraction([piece], theta, period)
-    assert attraction == pytest.approx(c, rel=0.03)
-    assert interval.low < attraction < interval.high

@@ -12,7 +12,6 @@ from gms_flex_control.experiment.identification_plan import (
     read_identification_plan,
 )
 from gms_flex_control.schema.files import load_controller, load_robot, read_values
-from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
 
@@ -126,15 +125,6 @@ def test_a_motion_begins_where_the_step_before_ended(plan):
             place = step.end
         assert step.kind != 'torque' or kind == 'relax'
         kind = step.kind
-
-
-def test_approaches_keep_the_limits(plan):
-    begin, end = np.array([-1.0, -1.0]), np.array([1.0, 1.2])
-    time = plan.approach_time(begin, end)
-    way = builders.approach(builders.at_rest(begin), builders.hold(end), 0.0, duration=time)
-    samples = way.sample(np.linspace(0.0, time, 2000))
-    assert np.all(np.abs(samples[:, 1]).max(axis=0) <= 0.51 * plan.velocity)
-    assert np.all(np.abs(samples[:, 2]).max(axis=0) <= 1.01 * plan.acceleration)
 
 
 def test_what_is_finished_is_left_out_and_the_rest_is_approached():

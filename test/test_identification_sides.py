@@ -6,12 +6,12 @@
 from dataclasses import replace
 import warnings
 
+from faulty import healthy
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.segments import drive_sides, TorqueWarning
 import numpy as np
 import pytest
-from test_identification_checks import healthy
 
 
 def test_some_joints_of_a_robot_file_are_taken_in_their_order():

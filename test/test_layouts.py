@@ -105,27 +105,8 @@ def test_foxglove_names_every_plot_and_its_unit():
         assert 'title' not in plot
 
 
-def test_foxglove_does_not_cover_the_arm_by_names_of_frames():
-    """They would be 0.2 m high."""
-    frames = foxglove()['configById']['3D!arm']['scene']['transforms']
-    assert frames['showLabel'] is False
-    assert frames['axisScale'] < 1.0
-
-
 @pytest.mark.parametrize('frame', [
     rviz()['Visualization Manager']['Global Options']['Fixed Frame'],
     foxglove()['configById']['3D!arm']['followTf']])
 def test_the_arm_is_drawn_in_the_frame_of_its_base(frame):
     assert frame == BASE
-
-
-def test_rviz_shows_the_whole_arm():
-    """Half the height that its view from above shows is height / scale / 2."""
-    view = rviz()['Visualization Manager']['Views']['Current']
-    assert rviz()['Window Geometry']['Height'] / view['Scale'] / 2 > sum(ROBOT.arm.length)
-
-
-def test_rviz_knows_that_its_panels_are_there():
-    """It reads a boolean that nothing has set where the file does not say."""
-    assert [rviz()['Window Geometry'][f'Hide {side} Dock'] for side in ('Left', 'Right')] == [
-        False, False]

@@ -4,14 +4,11 @@
 """Plant or bridge, controller and trajectory in one process: as three, and to the last bit."""
 
 from pathlib import Path
-import struct
 
 from bridge_lab import ask, bridge_lab, move
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import executable, TOPICS
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
-from gms_flex_control.nodes import messages
-from gms_flex_control.nodes.topics import Deserialized, Serialized
 from node_harness import (
     array_message,
     COMMANDS,
@@ -25,12 +22,9 @@ from node_harness import (
     STATES,
     TERM,
     traceback_free,
-    Trigger,
 )
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message, serialize_message
-from std_msgs.msg import MultiArrayDimension
 from test_nodes_lockstep import assert_equal
 from test_nodes_loop import (  # noqa: F401  they hold here as well
     listen,
@@ -105,13 +99,6 @@ def test_names_topics_and_services_are_those_of_three_nodes(loop):
                           loop.node.get_subscriber_names_and_types_by_node(name, '/')}
 
 
-def test_services_act_on_the_motion(loop):
-    assert loop.call(Trigger, '/trajectory/stop').success
-    loop.until(lambda: not any(loop.references[-1].data[2:]))
-    assert loop.call(Trigger, '/trajectory/start').success
-    loop.until(lambda: any(loop.references[-1].data[2:]))
-
-
 def test_another_controller_is_noticed(loop):
     """Commands of other processes come by DDS as before."""
     other = loop.speak(Float64MultiArray, COMMANDS)
@@ -173,70 +160,3 @@ def test_a_profile_that_lets_nodes_hear_their_own_process_is_refused(tmp_path):
         loop = lab.start('loop_node', files=MOTION)
         assert loop.wait() == 2
         assert 'loop_node needs the property fastdds.ignore_local_endpoints' in loop.printed()
-
-
-def test_a_reused_message_is_serialized_as_it_is_each_time():
-    state = JointState(name=['a', 'b'], position=[1.0, 2.0], velocity=[3.0, 4.0],
-                       effort=[5.0, 6.0])
-    reference = messages.ReferenceWriter(2, '/somebody')
-    reference.write(np.zeros((5, 2)), 'motion', 0)
-    serialized = Serialized(state), Serialized(reference.message)
-    for stamp, rows, quantity in ((0, 5, 'motion'), (1_700_000_000_123_456_789, 5, 'motion'),
-                                  (12_000_000_007, 1, messages.EFFORT)):
-        messages.set_stamp(state.header.stamp, stamp)
-        state.position = messages.array('d', [stamp / 3.0, -0.0])
-        state.effort = messages.array('d', [float('inf'), float(rows)])
-        reference.write(np.arange(2.0 * rows).reshape(rows, 2) - stamp, quantity, stamp)
-        for one, message in zip(serialized, (state, reference.message), strict=True):
-            assert deserialize_message(one.data(), type(message)) == message
-
-
-def test_joint_states_are_read_as_they_are_whatever_came_before():
-    read = Deserialized().message
-    for names, position, velocity, effort in (
-            ('ab', [1.0, 2.0], [3.0, 4.0], [5.0, 6.0]),
-            ('ab', [-0.0, 1e300], [3.0, 4.5], [7.0, 6.0]),
-            ('xb', [1.0, 2.0], [3.0, 4.0], [5.0, 6.0]), ('ab', [1.0, 2.0], [3.0, 4.0], []),
-            ('ab', [1.0, 2.0], [3.0], [5.0, 6.0, 7.0]), ('ab', [], [], []), ('', [], [], []),
-            ('ab', [1.0, 2.0], [3.0, 4.0], [5.0, 6.0])):
-        message = JointState(name=list(names), position=position, velocity=velocity, effort=effort)
-        for stamp in (0, 1_700_000_000_123_456_789):
-            messages.set_stamp(message.header.stamp, stamp)
-            assert read(serialize_message(message)) == message
-
-
-def test_messages_of_the_other_byte_order_are_read_beside_ours():
-    """Zeros look the same in both orders; what comes behind them must not be taken as they are."""
-    arrays, states = Deserialized(Float64MultiArray).message, Deserialized().message
-    for values, both in (([0.0, 0.0], False), ([1.0, 0.1], False), ([0.0, 0.0], True),
-                         ([1.0, 0.1], True)):
-        numbers = struct.pack('>2d', *values)
-        array = Float64MultiArray(data=values)
-        state = JointState(position=values, velocity=values, effort=values)
-        assert arrays(struct.pack('>4x3I4x', 0, 0, 2) + numbers) == array
-        assert states(struct.pack('>4x3I4x2I', 0, 0, 1, 0, 2) + numbers
-                      + 2 * (struct.pack('>I4x', 2) + numbers)) == state
-        if both:
-            assert arrays(serialize_message(array)) == array
-            assert states(serialize_message(state)) == state
-
-
-def test_arrays_are_read_as_they_are_whatever_came_before():
-    read = Deserialized(Float64MultiArray).message
-    for labels, data in (
-            (('joint', 'stamp:1000', 'source:/a#1'), [1.0, 2.0]),
-            (('joint', 'stamp:2345', 'source:/a#1'), [-0.0, float('inf')]),
-            (('joint', 'stamp:23x5', 'source:/a#1'), [1.0, 2.0]),
-            (('joint', 'stamp:-234', 'source:/a#1'), [1.0, 2.0]),
-            (('joint', 'stamp:2345', 'source:/b#1'), [1.0, 2.0]),
-            (('joint', 'stamp:2346', 'source:/b#1'), [1.0, 2.0, 3.0]),
-            (('source:stamp:2346', 'stamp:2346'), [1.0, 2.0]),
-            (('source:stamp:2347', 'stamp:2346'), [1.0, 2.0]),
-            (('stamp:2346', 'stamp:2346'), [1.0]), (('stamp:2347', 'stamp:2346'), [1.0]),
-            ((), [1.0]), ((), [2.0]), ((), []), (('stamp:1',), []),
-            (('joint', 'stamp:1000', 'source:/a#1'), [1.0, 2.0])):
-        for size in (1, 2):
-            message = Float64MultiArray(data=data)
-            message.layout.dim = [MultiArrayDimension(label=label, size=size, stride=1)
-                                  for label in labels]
-            assert read(serialize_message(message)) == message

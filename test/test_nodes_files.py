@@ -5,14 +5,14 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
+from gms_flex_control.identification.output import write_friction
+from identified import identification
 from node_harness import CONFIG, FILES, Lab, PATIENCE, TERM, write_parameters
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-EXAMPLE = CONFIG.parent / 'examples/industrial_arm'
-
-INDUSTRIAL = CONFIG.parent / 'examples' / 'industrial_arm'
+EXAMPLE = CONFIG.parent / 'examples' / 'industrial_arm'
 # node, text of a file after the usual two (None: it is missing), what the sentence says; values
 # that no robot has are test_schema's
 REFUSED = {
@@ -21,22 +21,8 @@ REFUSED = {
         "gains.joint1.kd_lnk is not a known parameter; did you mean 'gains.joint1.kd_link'?"),
     'key of another node': (
         'plant_node', 'trajectory: {tpye: hold}', "did you mean 'trajectory.type'?"),
-    'unknown joint': (
-        'trajectory_node', 'gains: {joint3: {kd_link: 0.8}}', "unknown joint 'joint3'"),
     'unknown effect': (
         'plant_node', 'effects: {joint1: {backlas: {gap: 0.1}}}', "'backlash'"),
-    'text for a number': (
-        'controller_node', 'gains: {joint1: {kd_link: stiff}}',
-        "gains.joint1.kd_link must be a number [N m s/rad], got 'stiff'"),
-    'array for a number': (
-        'controller_node', 'gains: {joint1: {kd_link: [0.8, 0.9]}}', 'must be a number'),
-    'fraction for a whole number': (
-        'plant_node', 'substeps: 2.5', 'substeps must be a whole number, got 2.5'),
-    'static below coulomb': (
-        'controller_node', 'friction: {joint1: {forward: {static: 0.09, coulomb: 0.11}}}',
-        'swapped'),
-    'unknown mode': (
-        'trajectory_node', 'mode: lockstp', "did you mean 'lockstep'?"),
     'via points': (
         'trajectory_node', 'trajectory: {type: via_points, joint1: {points: [0.0, 1.0]}}',
         'each joint needs the same number of points, got [2, 3]'),
@@ -70,7 +56,7 @@ def outcomes(tmp_path_factory):
                 start, 'no gains', 'controller_node', 'mode: realtime', files=[FILES[0]])
             running['limit'] = pool.submit(
                 start, 'limit', 'trajectory_node', 'trajectory: {joint2: {amplitude: 1.7}}',
-                files=[INDUSTRIAL / name for name in ('robot.yaml', 'trajectory.yaml')])
+                files=[EXAMPLE / name for name in ('robot.yaml', 'trajectory.yaml')])
             # whole numbers where doubles belong, and parameters of ROS itself
             running['whole numbers'] = pool.submit(
                 start, 'whole numbers', 'plant_node',
@@ -110,9 +96,12 @@ def test_whole_numbers_are_taken_for_doubles(outcomes):
     assert code == 0 and 'Traceback' not in printed, printed
 
 
-def test_every_shipped_file_is_accepted_by_every_node(tmp_path):
+def test_shipped_and_identified_files_are_accepted_by_every_node(tmp_path):
+    """Through ROS 2's own parser."""
+    write_friction(identification(), tmp_path / 'friction.yaml')
     with Lab(tmp_path) as lab:
-        files = [*FILES, CONFIG / 'sinusoid.yaml', CONFIG / 'polynomial.yaml']
+        files = [*FILES, CONFIG / 'sinusoid.yaml', CONFIG / 'polynomial.yaml',
+                 tmp_path / 'friction.yaml']
         nodes = [lab.start(name, files=files)
                  for name in ('plant_node', 'controller_node', 'trajectory_node')]
         lab.until(lambda: all('[INFO]' in node.printed() for node in nodes))

@@ -49,33 +49,6 @@ def test_a_reference_is_carried_on_until_its_timeout_then_braked_held_and_let_go
     assert efforts[-1][0] == pytest.approx(0.1 + 1.0 + 0.5, abs=0.01)
 
 
-def test_a_lost_torque_reference_is_no_torque_at_once():
-    kept = References(0.1, 1.0, 1.0)
-    kept.keep(0, Reference('effort', np.array([[0.5, 0.5]])))
-    assert kept.at(PERIOD).quantity == 'effort'
-    assert kept.at(NS // 5) is None and kept.phase is None
-
-
-def test_a_new_reference_ends_the_hold():
-    kept = lost_at()
-    assert kept.at(NS // 20).quantity == 'motion' and kept.at(NS // 2) and kept.phase == 'holding'
-    kept.keep(NS, Reference('motion', MOTION))
-    assert np.array_equal(kept.at(NS).value, MOTION) and kept.phase == 'following'
-
-
-def test_references_of_other_times_take_no_place_of_those_that_are_followed():
-    kept, last = References(0.1, 1.0, 1.0), 1000 * NS
-    kept.keep(last, Reference('motion', MOTION), last)
-    for far in range(20):
-        kept.keep(far * NS, Reference('motion', 0.0 * MOTION), last)
-    assert np.array_equal(kept.at(last).value, MOTION)
-
-
-def test_without_hold_and_relax_a_lost_reference_is_none():
-    kept = lost_at(hold=0.0, relax=0.0)
-    assert kept.at(0) and kept.at(NS // 5) is None
-
-
 def measured(q, dq):
     return SimpleNamespace(q_link=np.array(q), dq_link=np.array(dq))
 
@@ -90,12 +63,6 @@ def test_a_handover_begins_at_the_robot_and_ends_at_the_reference():
     step = np.abs(np.diff(rows[:, 0], axis=0)).max() / (PERIOD / NS)
     assert step < 1.0 + np.abs(rows[:, 1]).max()  # no jump on the way
     assert way.applied(2 * NS, MOTION) is MOTION and way.left is None
-
-
-def test_a_reference_that_is_near_is_followed_at_once():
-    way = Handover(2.0)
-    way.begin(0, measured(MOTION[0] + 0.005, MOTION[1] - 0.1), MOTION)
-    assert way.applied(0, MOTION) is MOTION
 
 
 def test_torque_fades_in_where_a_motion_begins_and_only_there():

@@ -6,9 +6,9 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+from gms_flex_control.file_io import share_path
 from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.mapping import ReadingError
-from gms_flex_control.resources import share_path
 from gms_flex_control.schema.files import load_controller, load_robot, read_values
 from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory import builders

@@ -35,23 +35,6 @@ arm:
   joint1: {stiffness: .inf}
   joint2: {stiffness: .inf}
 """
-ONE_AXIS = """
-joints: [slide]
-motors: [slide_motor]
-arm:
-  kind: decoupled
-  slide: {inertia: 0.05, motor_inertia: 0.006, stiffness: 5.0}
-encoder: {counts: 20000.0, velocity_cutoff: 50.0}
-friction:
-  slide:
-    forward: {static: 0.108, coulomb: 0.094, velocity: 0.0085, viscous: 0.066}
-    backward: {static: 0.104, coulomb: 0.090, velocity: 0.0049, viscous: 0.074}
-    stiffness: [2.26, 5.93, 6.95, 64.24, 11.45, 111.41]
-    weight: [0.1, 0.1, 0.2, 0.2, 0.2, 0.2]
-    attraction: 1.5
-gains:
-  slide: {kd_link: 0.8, lambda_link: 3.0, kd_motor: 0.2, lambda_motor: 30.0, torque_limit: 2.0}
-"""
 
 
 def both(tmp_path, monkeypatch, files, *, duration, compensation, rate=500.0):
@@ -111,35 +94,23 @@ def test_the_last_sample_is_answered_before_the_plant_ends(tmp_path):
         assert plant.wait() == 0
 
 
-def assert_moves_alike(tmp_path, monkeypatch, files):
-    joints = load_robot(files).joints
-    motion = write_parameters(tmp_path / 'motion.yaml', (
-        'trajectory: {type: polynomial, move_time: 0.8, hold_time: 0.1}\n'
-        + ''.join(f'trajectory.{joint}.amplitude: 0.2\n' for joint in joints)))
-    driven, simulated, _ = both(tmp_path, monkeypatch, [*files, motion], duration=1.0,
-                                compensation='gms')
-    assert len(driven.time) == 500
-    assert np.all(np.isfinite(driven.tau_motor)) and np.ptp(driven.tau_motor) > 0.05
-    assert abs(driven.q_link[-1, 0] - 0.2) < 0.05
-    assert_equal(driven, simulated)
-    return driven
-
-
 def test_a_rigid_robot_runs_and_its_links_carry_the_effort(tmp_path, monkeypatch):
     """A rigid joint has no motor side and no motor name."""
     rigid = write_parameters(tmp_path / 'rigid.yaml', RIGID)
     save_robot(load_robot([FILES[0], rigid]), tmp_path / 'robot.yaml')
-    driven = assert_moves_alike(tmp_path, monkeypatch, [tmp_path / 'robot.yaml', FILES[1]])
+    motion = write_parameters(tmp_path / 'motion.yaml', (
+        'trajectory: {type: polynomial, move_time: 0.8, hold_time: 0.1, joint1: {amplitude: 0.2}, '
+        'joint2: {amplitude: 0.2}}'))
+    driven, simulated, _ = both(tmp_path, monkeypatch, [
+        tmp_path / 'robot.yaml', FILES[1], motion], duration=1.0, compensation='gms')
+    assert len(driven.time) == 500
+    assert np.all(np.isfinite(driven.tau_motor)) and np.ptp(driven.tau_motor) > 0.05
+    assert abs(driven.q_link[-1, 0] - 0.2) < 0.05
+    assert_equal(driven, simulated)
     assert np.all(np.isnan(driven.q_motor))
     names = {tuple(unpack_joint_state(data)[2]) for batch in Bag(tmp_path / 'driven').batches()
              for topic, _, _, data in batch if topic == STATES}
     assert names == {('joint1', 'joint2')}
-
-
-def test_a_robot_of_one_decoupled_axis_runs(tmp_path, monkeypatch):
-    robot = write_parameters(tmp_path / 'robot.yaml', ONE_AXIS)
-    driven = assert_moves_alike(tmp_path, monkeypatch, [robot])
-    assert np.all(np.isfinite(driven.q_motor))
 
 
 def test_an_arm_of_a_urdf_runs(tmp_path, monkeypatch):

@@ -108,19 +108,6 @@ WRONG_STATES = [
     ([], (), None, "lack 'joint1'")]
 
 
-def test_a_wrong_state_is_refused_whole_and_the_next_one_answered(alone):
-    """Warnings come at most every five seconds, so the reason is read from the first alone."""
-    for names, position, velocity, _ in WRONG_STATES:
-        before = answer(alone, following(alone, POSITION))
-        state = following(alone, position, names=names, velocity=velocity)
-        alone.states.publish(state)
-        after = answer(alone, following(alone, POSITION))
-        assert list(after.data) == pytest.approx(list(before.data), abs=1e-3)
-        assert stamp_of(state) not in [stamp_of(command) for command in alone.commands]
-    assert "joint state refused: joint states lack 'joint2_motor'" in alone.controller.printed()
-    assert "joint state refused: joint states lack 'joint2'" in alone.trajectory.printed()
-
-
 @pytest.mark.parametrize('names, position, velocity, reason', WRONG_STATES)
 def test_the_reason_of_a_refused_state_names_the_culprit(names, position, velocity, reason):
     messages = pytest.importorskip('gms_flex_control.nodes.messages')
@@ -128,17 +115,6 @@ def test_the_reason_of_a_refused_state_names_the_culprit(names, position, veloci
     state = joint_state(0, position, names=names, velocity=velocity)
     with pytest.raises(messages.RefusedError, match=reason):
         reader.read(state, None)  # nothing is written
-
-
-@pytest.mark.parametrize('data, labels', [
-    ((), ()), ((0.5,), ()), ((0.5,) * 3, ()), ((0.5,) * 11, ()), ((NAN,) * 10, ()),
-    ((INF,) * 10, ()), ((0.5, INF), ('effort',)), ((0.5,) * 10, ('effort',))])
-def test_a_wrong_reference_is_refused_whole(alone, data, labels):
-    before = answer(alone, following(alone, POSITION))
-    alone.extra_reference.publish(array_message(data, *labels, f'stamp:{alone.stamp + PERIOD}'))
-    after = answer(alone, following(alone, POSITION))
-    assert list(after.data) == pytest.approx(list(before.data), abs=1e-3)
-    alone.until(lambda: 'reference refused: ' in alone.controller.printed())
 
 
 @pytest.mark.parametrize('label', ['stamp:', 'stamp:--5', 'stamp:1e9', 'stamp:²',
@@ -209,20 +185,6 @@ def test_a_fresh_command_acts_and_ends(plant):
         now = stamp_of(plant.more(plant.states, 1)[0])
         plant.commands.publish(array_message([0.04, 0.0], f'stamp:{now}', 'source:test'))
     rest(plant)
-
-
-@pytest.mark.parametrize('data', [(), (0.5,), (0.5,) * 3, (NAN, 0.5), (0.5, INF), (-INF, INF)])
-def test_a_wrong_command_is_refused_whole_and_the_one_before_acts_on(plant, data):
-    rest(plant)
-    seen, end = [], time.monotonic() + PATIENCE  # a late command is too old: then once more
-    while len(seen) < 10 or seen[-1] != pytest.approx([0.01, 0.02]):
-        assert time.monotonic() < end, seen[-10:]
-        now = stamp_of(plant.more(plant.states, 1)[0])
-        plant.commands.publish(array_message([0.01, 0.02], f'stamp:{now}'))
-        plant.commands.publish(array_message(data, f'stamp:{now}'))
-        seen.append(list(plant.states[-1].effort[2:]))
-    assert all(effort == [0.0, 0.0] or effort == pytest.approx([0.01, 0.02]) for effort in seen)
-    assert 'command refused: command has 0 torques for 2 joints' in plant.plant.printed()
 
 
 def test_stamps_go_on_in_whole_periods_through_all_of_this(plant):

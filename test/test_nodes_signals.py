@@ -61,24 +61,6 @@ def test_a_signal_ends_each_node_and_leaves_zero_torque(tmp_path, mode, numbers)
             assert 'Traceback' not in printed and 'rror' not in printed, printed
 
 
-def test_without_a_reference_the_controller_sends_zero_and_takes_up_the_next_one(tmp_path):
-    with Lab(tmp_path) as lab:
-        files = [*FILES, CONFIG / 'sinusoid.yaml']
-        controller = lab.start('controller_node', files=files)
-        trajectory = lab.start('trajectory_node', files=files, trajectory__autostart=True)
-        commands = lab.listen(Float64MultiArray, COMMANDS)
-        states = lab.listen(JointState, STATES)
-        lab.start('plant_node', files=files, wait_for_subscribers=3)
-        lab.until(lambda: len(commands) > 100 and any(commands[-1].data))
-        trajectory.kill()  # no last word
-        begun = len(commands)
-        lab.until(lambda: len(commands) > begun + 100 and not any(states[-1].effort[2:])
-                  and not any(any(command.data) for command in commands[-100:]))
-        lab.start('trajectory_node', files=files, trajectory__autostart=True)
-        lab.until(lambda: any(commands[-1].data))
-        assert controller.runs
-
-
 def test_nodes_that_wait_for_others_end_as_well(tmp_path):
     with Lab(tmp_path) as lab:
         nodes = [lab.start(name, **({'wait_for_subscribers': 5} if name == 'plant_node' else {}))
@@ -86,17 +68,6 @@ def test_nodes_that_wait_for_others_end_as_well(tmp_path):
         for node in nodes:
             lab.until(lambda node=node: '[INFO]' in node.printed())
             assert node.signal(INT, TERM) == 0
-            assert 'Traceback' not in node.printed() and 'rror' not in node.printed()
-
-
-def test_a_signal_during_the_start_ends_it_without_an_error(tmp_path):
-    """The node is still compiling or looking for others."""
-    with Lab(tmp_path) as lab:
-        nodes = [lab.start(name) for name in NODES]
-        for node in nodes:
-            # its log file of ROS is opened by rclpy.init, after the handlers are there
-            lab.until(lambda node=node: any(tmp_path.glob(f'*_{node.process.pid}_*.log')))
-            assert node.signal(INT) == 0
             assert 'Traceback' not in node.printed() and 'rror' not in node.printed()
 
 

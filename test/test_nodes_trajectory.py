@@ -122,30 +122,12 @@ def test_start_change_and_stop_are_smooth(moving):
     assert_smooth(np.concatenate(rows))
 
 
-def test_hold_brakes_and_start_goes_on_from_there(moving):
-    rows = [moving.steps(5)]
-    assert moving.trigger('start').success
-    rows.append(moving.steps(3 * SECOND))
-    assert moving.set_parameters('/trajectory', trajectory__type='hold').successful
-    rows.append(moving.steps(SECOND + 10))
-    assert np.all(rows[-1][-5:, 1:] == 0.0)
-    assert_smooth(np.concatenate(rows))
-
-
 def point(time, positions, **more):
     """Return a point of a JointTrajectory at a time [s]."""
     found = JointTrajectoryPoint(positions=positions, **more)
     found.time_from_start.sec = int(time)
     found.time_from_start.nanosec = round(1e9 * (time - int(time)))
     return found
-
-
-def refusal(lab, names, *points):
-    """Publish a JointTrajectory; return what the node warns of in the end."""
-    before = lab.started.printed().count('refused')
-    lab.points.publish(JointTrajectory(joint_names=names, points=points))
-    lab.until(lambda: lab.started.printed().count('refused') > before)
-    return lab.started.printed().rpartition('refused: ')[2].splitlines()[0]
 
 
 def test_a_joint_trajectory_is_followed_smoothly_through_its_points(moving):
@@ -165,13 +147,6 @@ def test_a_joint_trajectory_is_followed_smoothly_through_its_points(moving):
         np.testing.assert_allclose(rows[first + round(SECOND * time), 0], there, atol=1e-9)
     np.testing.assert_allclose(rows[first + round(SECOND * 1.5), 1], 0.1, atol=1e-9)
     assert np.all(rows[-1, 0] == [-0.1, 0.0]) and np.all(rows[-1, 1:] == 0.0)
-
-
-def test_a_joint_trajectory_that_makes_no_sense_is_refused_and_changes_nothing(moving):
-    moving.steps(5)
-    assert "lack 'joint2'" in refusal(moving, ['joint1'], point(1.0, [0.0]))
-    moving.steps(5)
-    assert np.all(moving.steps(20)[:, 1:] == 0.0)
 
 
 def test_reset_rests_where_the_robot_is(moving):

@@ -10,7 +10,6 @@ from gms_flex_control.discrepancy.residual_views import (
     binned,
     Evidence,
     follows,
-    further,
     Map,
     maps_of,
     over_all,
@@ -48,37 +47,11 @@ def test_binned_means_lie_on_the_curve_within_their_bands():
     np.testing.assert_allclose(curve.half[away], (1.96 / np.sqrt(0.4 * count))[away], rtol=0.35)
 
 
-def test_bins_are_filled_alike_wherever_the_motion_went():
-    x = np.concatenate([np.full(500, 0.3), np.linspace(0.0, 10.0, 400)])
-    edges = bin_edges(x)
-    assert np.all(np.diff(edges) > 0.0)
-    curve = binned(x, x, edges)
-    assert np.all(np.isfinite(np.stack(curve)))
-    np.testing.assert_allclose(curve.mean, curve.x)
-
-
 def test_what_a_residual_follows_is_told_by_its_power():
     x, y = sampled()
     assert follows(x, np.ones_like(x)) > 0.999
     assert follows(x, np.sign(x)) > 0.98 > 0.6 > follows(x, y) > 0.4  # half of it is noise
     assert follows(x, np.random.default_rng(1).permutation(np.sign(x))) < 0.01
-
-
-def test_direction_and_distance_are_those_since_the_last_turn():
-    """To and fro by 1 rad at 1 rad/s, then a rest."""
-    time = np.arange(0.0, 5.0, 0.01)
-    angle = np.where(time < 4.0, np.abs((time + 1.0) % 2.0 - 1.0), 0.0)
-    rate = np.gradient(angle, time)
-    states = np.zeros((len(time), 6, 1))
-    states[:, 0, 0], states[:, 1, 0] = angle, rate
-    found = further(SimpleNamespace(states=states), 0)
-    middle = (time * 2.0).astype(int) % 2 == 1
-    moving = (time < 3.9) & middle & (np.abs(rate) > 0.9)
-    assert moving.sum() > 150
-    np.testing.assert_array_equal(found['direction'][moving], np.sign(rate)[moving])
-    np.testing.assert_array_equal(found['direction'][time > 4.1], 0.0)
-    np.testing.assert_allclose(found['distance since reversal'][moving], (time % 1.0)[moving],
-                               atol=0.02)
 
 
 def moving_joint(count=12_000):

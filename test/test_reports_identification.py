@@ -14,7 +14,7 @@ from gms_flex_control.file_io import robot_file
 from gms_flex_control.identification.outcome import FrictionMap, Interval
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.identification_page import write_identification_report
-from gms_flex_control.reports.page import Curve, Report, Series
+from gms_flex_control.reports.page import Curve, Report
 from gms_flex_control.reports.pictures import loops_figure, map_figure
 from gms_flex_control.schema.files import load_robot
 from html_page import Page
@@ -158,23 +158,6 @@ def test_an_unknown_interval_is_not_made_up():
     row = identification_text(replace(made, joints=(result,))).splitlines()
     row = next(line for line in row if line.startswith('forward.static'))
     assert row.split() == ['forward.static', 'N', 'm', '0.11', '-']
-
-
-@pytest.mark.parametrize(('curve', 'match'), [
-    (Curve('c', [0, 1], [0]), r'y has shape \(1,\), x \(2,\)'),
-    (Curve('c', [0, 1], [0, 1], 'pink'), "role 'pink' is not one of")])
-def test_a_curve_that_cannot_be_drawn_is_refused(curve, match):
-    with pytest.raises(ValueError, match=match):
-        Report('r', ANSWER).xy_chart('t', [curve])
-
-
-def test_what_has_no_number_is_left_out():
-    empty, none = Curve('empty', [0, np.nan], [np.nan, 1]), np.full(2, np.nan)
-    assert 'chart-0' not in (
-        Report('r', ANSWER).xy_chart('t', [empty]).chart('t', [0, 1], [Series('none', none)])
-        .xy_chart('t', [Curve('c', [-1, 0], [0, 1])], log_x=True).html())
-    html = Report('r', ANSWER).xy_chart('t', [empty, Curve('line', [0, 1], [0, 1])]).html()
-    assert '"label":"line"' in html and '"label":"empty"' not in html
 
 
 BLUE = """Array.from(document.querySelectorAll('canvas'), (canvas) => {

@@ -64,13 +64,6 @@ def test_embedded_arrays_equal_the_data():
     np.testing.assert_array_equal(other, np.cos(t).astype('f4'))
 
 
-def test_a_shared_time_axis_is_stored_once():
-    t = np.arange(100.0)
-    report = Report('r', answer()).chart('a', t, [Series('s', t ** 2)]).chart(
-        'b', t, [Series('s', t ** 3)])
-    assert len(Page(report.html()).arrays()) == 3
-
-
 def test_the_page_reaches_for_nothing_outside_itself():
     html = small_report().html()
     assert all(url.startswith(('data:', '#')) for url in Page(html).urls)

@@ -11,7 +11,6 @@ import re
 import signal
 import socket
 import subprocess
-import sys
 
 from core_runs import single_axis
 from gms_flex_control.cli.main import main
@@ -23,7 +22,7 @@ from gms_flex_control.errors import BagError
 from gms_flex_control.file_io import share_path
 from gms_flex_control.friction import gms
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.view.live import Feed, Rows, SILENCE, Status
+from gms_flex_control.view.live import Rows
 from gms_flex_control.view.recorded import BagView, blocks_along, CHUNK, open_bag
 from gms_flex_control.view.scene import extent, places, scene_of, unknown_scene
 from gms_flex_control.view.server import Access, ViewServer
@@ -79,13 +78,6 @@ def test_a_chart_of_few_points_keeps_every_peak_and_the_share_of_sticking():
     assert column(table, 'link.0').max() == 7.0 and column(table, 'link.1').min() == -9.0
     assert column(table, 'stick.0.1').mean() == pytest.approx(0.5, abs=0.01)
     assert not column(table, 'stick.1.2').any()
-
-
-def test_a_short_stretch_is_shown_sample_by_sample_with_its_neighbours():
-    recorded = recording()
-    view, column = view_of(recorded)
-    table = view.plots(10.004, 10.046, 200)
-    np.testing.assert_allclose(column(table, 'time'), recorded.time[1000:1006])
 
 
 @pytest.mark.parametrize(('field', 'signal'), [
@@ -204,12 +196,6 @@ def test_other_bags_are_drawn_over_the_first_from_their_beginnings(tmp_path):
     assert np.isnan(column[10:]).all()
 
 
-def test_only_bags_are_drawn_over_each_other(capsys):
-    assert main(['view', 'live', 'bag']) == 2
-    assert capsys.readouterr().err == (
-        'gms_flex view: live bag: only bags are drawn over each other\n')
-
-
 def test_rows_are_put_together_by_stamp_whatever_comes_first():
     rows = Rows(2, 3)
     rows.put('reference', 1_000_000_000, [0.5, 0.6])
@@ -232,29 +218,6 @@ def test_rows_are_put_together_by_stamp_whatever_comes_first():
     assert [second[f'stick.{j}.{i}'] for j in range(2) for i in range(3)] == [1, 0, 1, 0, 1, 0]
 
 
-def test_a_reference_of_another_time_is_carried_on_and_a_distant_one_is_none():
-    rows, speed, acceleration = Rows(2, 0), np.array([0.4, -0.2]), np.array([3.0, 5.0])
-    rows.put('reference', 1_000_000_000, [0.5, 0.6, *speed, *acceleration])
-    rows.put('reference', 1_500_000_000, [])
-    for stamp in (1_010_000_000, 1_200_000_000):
-        rows.put_state(stamp, 0.0, [0.0, 0.0], [0.0, 0.0])
-    table = rows.take(1.0)
-    reference = table[:, [rows.names.index('reference.0'), rows.names.index('reference.1')]]
-    expected = np.array([0.5, 0.6]) + 0.01 * speed + 0.5 * 0.01 ** 2 * acceleration
-    np.testing.assert_allclose(reference[0], expected, atol=1e-12)
-    assert np.isnan(reference[1]).all()
-
-
-def test_a_clock_that_jumps_begins_anew_and_late_states_are_left_out():
-    rows = Rows(1, 0)
-    for stamp in (10.0, 10.002, 10.001, 10.002, 10.004):
-        rows.put_state(int(stamp * 1e9), 0.0, [stamp], [stamp])
-    assert rows.take(1.0)[:, 0] == pytest.approx([0.0, 0.002, 0.004])
-    assert not rows.restarted
-    rows.put_state(int(1e9), 2.0, [0.0], [0.0])
-    assert rows.restarted and rows.take(3.0)[0, 0] == 0.0
-
-
 def test_of_a_fast_loop_only_spaced_states_make_rows():
     rows = Rows(1, 0, spacing=4_000_000)
     for k in range(100):
@@ -269,35 +232,6 @@ def test_of_a_fast_loop_only_spaced_states_make_rows():
     np.testing.assert_allclose(table[:, 0], 0.004 * np.arange(25), atol=1e-12)
     np.testing.assert_allclose(table[:, rows.names.index('error.0')], 0.0, atol=1e-12)
     assert rows.wants(0) and not rows.wants(1_000_000_000)  # set back for good, and a repetition
-
-
-@pytest.mark.parametrize('names', [('samples', 'samples without a fresh command'),
-                                   ('states out', 'states without a fresh command')])
-def test_rate_and_late_share_are_those_of_the_last_reports(names):
-    """Of a simulated robot and of a bridge: 500 Hz, 2 % late in the end."""
-    status = Status()
-    assert status.as_dict(0.0) is None
-    for k, late in enumerate((0, 400, 410, 420, 430)):
-        status.report({'state': 'FAULT', 'reason': 'too fast', names[0]: str(500 * k),
-                       names[1]: str(late)}, 100.0 + k, 0.5 * k)
-    assert status.as_dict(2.0) == {'state': 'FAULT', 'reason': 'too fast', 'rate': 500.0,
-                                   'late': 0.02}
-    assert status.as_dict(2.1 + SILENCE) is None
-    status.report({'state': 'ZERO', names[0]: '7', names[1]: '0'}, 200.0, 9.0)  # started anew
-    assert status.as_dict(9.0) == {'state': 'ZERO', 'reason': '', 'rate': None, 'late': None}
-
-
-def test_every_page_gets_every_row_at_its_own_pace():
-    feed = Feed()
-    feed.add(np.arange(10.0).reshape(5, 2), {'state': ''})
-    number, _, state, rows = feed.since(0, 0.0)
-    assert (number, state, len(rows)) == (5, {'state': ''}, 5)
-    feed.add(np.arange(4.0).reshape(2, 2), {'state': 'silent'})
-    assert feed.since(number, 0.0)[2] == {'state': 'silent'}
-    np.testing.assert_array_equal(feed.since(number, 0.0)[3], [[0.0, 1.0], [2.0, 3.0]])
-    assert len(feed.since(0, 0.0)[3]) == 7
-    feed.begin_anew()
-    assert feed.since(0, 0.0)[1] == 1 and len(feed.since(0, 0.0)[3]) == 0
 
 
 class FakeLoop:
@@ -446,16 +380,11 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, capsys):
     bag = write_bag(tmp_path / 'bag')
     with socket.create_server(('127.0.0.1', 0)) as taken:
         for arguments, words in [
-                ((tmp_path / 'none',), 'there is no such bag'), ((bag, '--port', 99999), '--port'),
+                (('live', 'bag'), 'live bag: only bags are drawn over each other'),
+                ((bag, '--port', 99999), '--port'),
                 ((bag, '--port', taken.getsockname()[1]), 'cannot be listened on'),
                 ((bag, '--host', 'no.such.invalid'), 'must be an address of this machine'),
                 ((bag, '--host', '192.0.2.1'), 'must be an address of this machine')]:
             assert main(['view', *map(str, arguments)]) == 2
             errors = capsys.readouterr().err
             assert words in errors and errors.count('\n') == 1
-
-
-def test_live_without_ros_is_one_sentence(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, 'gms_flex_control.nodes.viewer', None)
-    assert main(['view', 'live']) == 2
-    assert 'bags can be viewed without' in capsys.readouterr().err

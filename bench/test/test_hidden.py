@@ -8,74 +8,20 @@ import json
 from types import SimpleNamespace
 
 from bench.__main__ import main
-from bench.hidden_robots import cases, motions, outsiders, plants, sizes, truth
-from bench.hidden_robots.kernels import friction as hidden_friction
-import core_runs
-from core_runs import push_plant, single_axis
+from bench.hidden_robots import cases, motions, plants, sizes, truth
+from core_runs import push_plant
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.dynamics import chain
-from gms_flex_control.effects import registry, table
+from gms_flex_control.effects import registry
 from gms_flex_control.effects.base import Term
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.friction import gms
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 TIME = np.arange(500) * 2e-3
 COMMAND = np.stack([0.5 * np.sin(1.3 * TIME) + 0.1 * np.sin(7 * TIME), 0.3 * np.sin(2.1 * TIME)],
                    axis=1)
-
-
-def without_friction(robot, **arm):
-    """Return a robot whose friction is too small to matter."""
-    friction = robot.friction.each_way(
-        lambda side: replace(side, static=[1e-12] * 2, coulomb=[1e-12] * 2, viscous=[0.0] * 2),
-        stiffness=np.zeros_like(robot.friction.stiffness))
-    return replace(robot, friction=friction, arm=replace(robot.arm, **arm))
-
-
-def test_without_friction_the_motion_is_that_of_a_solver_of_others(ideal_robot):
-    """Mass, Coriolis and gravity by chain.matrices, integrated by scipy."""
-    robot = without_friction(ideal_robot, gravity=[1.0, -3.0], offset=[0.2, -0.3],
-                             damping=[0.01, 0.02])
-    arm, torque = robot.arm, np.array([0.4, -0.3])
-
-    def rate(_, x):
-        q, v, q_motor, v_motor = x.reshape(4, 2)
-        m = chain.matrices(q, v, np.zeros(2), np.zeros(2), arm)
-        spring = arm.stiffness * (q_motor - q) + arm.damping * (v_motor - v)
-        a = np.linalg.solve(m.mass, spring - m.coriolis @ v - m.gravity)
-        return np.concatenate([v, a, v_motor, (torque - spring) / arm.motor_inertia])
-
-    unloaded = truth.at_rest(robot)
-    unloaded.q_motor[:] = 0.0
-    states = truth.simulate_open(robot, np.tile(torque, (500, 1)), state=unloaded)
-    exact = solve_ivp(rate, (0.0, 1.0), np.zeros(8), rtol=1e-10, atol=1e-12).y[:, -1]
-    np.testing.assert_allclose(states[-1], exact.reshape(4, 2), atol=2e-6)
-
-
-@pytest.mark.parametrize('kind', ['planar', 'decoupled'])
-def test_a_robot_at_rest_is_held_by_its_springs(ideal_robot, kind):
-    """Weight by chain.matrices, a motor on which nothing but its spring acts."""
-    robot = without_friction(ideal_robot, gravity=[1.0, -3.0], offset=[0.2, -0.3], kind=kind)
-    q, zero = np.array([0.3, -0.7]), np.zeros(2)
-    start = truth.at_rest(robot, q)
-    weight = chain.matrices(q, zero, zero, zero, robot.arm).gravity
-    np.testing.assert_allclose(robot.arm.stiffness * (start.q_motor - q), weight, rtol=1e-12)
-    states = truth.simulate_open(robot, np.tile(weight, (200, 1)), state=start)
-    assert np.abs(states[:, [0, 2]] - states[0, [0, 2]]).max() < 1e-9
-
-
-def test_without_friction_energy_is_kept(ideal_robot):
-    robot = without_friction(ideal_robot)
-    state = truth.at_rest(robot)
-    state.q_motor[:] = [0.4, -0.3]
-    states = truth.simulate_open(robot, np.zeros((2000, 2)), state=state)
-    energy = [core_runs.energy(*states[k], robot.arm) for k in (0, 500, 1000, 2000)]
-    np.testing.assert_allclose(energy, energy[0], rtol=1e-6)
 
 
 def test_the_plant_converges_to_the_hidden_robot(ideal_robot):
@@ -113,67 +59,6 @@ TURNING = truth.Motion(
     None, np.stack([np.stack([np.sin(TIME), np.cos(TIME), 1.1 * np.sin(TIME),
                               1.1 * np.cos(TIME)], axis=1)] * 2, axis=2), COMMAND, None, None,
     None)
-
-
-def test_the_friction_is_that_of_the_model_between_reversals(ideal_robot):
-    """Its steps and those of friction.gms agree to the order of the step."""
-    params = ideal_robot.friction
-    constants = gms.constants_of(params)
-    state, n = gms.init(params), 2
-    torque, sticking = np.zeros((n, 6)), np.ones((n, 6), np.uint8)
-    direction, errors = np.ones(n), []
-    for k in range(20000):
-        v, a = 0.2 * np.sin(5e-5 * k * 6.0), 1.2 * np.cos(5e-5 * k * 6.0)
-        for j in range(n):
-            hidden_friction.move(j, v, a, 5e-5, torque, sticking, direction, constants)
-        step = 5e-5 * (v + 0.5 * 5e-5 * a)
-        gms.advance(state, np.full(n, step), np.full(n, step / 5e-5), 5e-5, constants)
-        errors.append(np.abs(torque - state.torque).max())
-    assert max(errors) < 1e-4
-
-
-def test_a_base_that_gives_way_is_a_third_mass(ideal_robot):
-    """Links and base against the mass matrix of all three, in angles from the base."""
-    robot = without_friction(ideal_robot)
-    spec = EffectSpec(name='base_flexibility', joint='joint1', values=(5.0, 0.5, 0.05))
-    torque, arm, w = np.array([0.5, 0.0]), robot.arm, 2 * np.pi * 5.0
-
-    def rate(_, x):
-        q, v, motor, v_motor = x[:8].reshape(4, 2)
-        base, v_base = x[8:]
-        m = chain.matrices(q, v + [v_base, 0.0], np.zeros(2), np.zeros(2), arm)
-        spring = arm.stiffness * (motor - q)
-        a_base = -torque[0] / 0.5 - 2 * 0.05 * w * v_base - w * w * base
-        a = np.linalg.solve(m.mass, spring - m.coriolis @ (v + [v_base, 0.0]))
-        a_motor = (torque - spring) / arm.motor_inertia
-        return np.concatenate([v, a - [a_base, 0.0], v_motor, a_motor - [a_base, 0.0],
-                               [v_base, a_base]])
-
-    exact = solve_ivp(rate, (0.0, 0.5), np.zeros(10), rtol=1e-10, atol=1e-12).y[:, -1]
-    driven = replace(robot, effects=(spec,))
-    states = truth.simulate_open(driven, np.tile(torque, (250, 1)))
-    seen = states[-1, 0] - [exact[8], 0.0]
-    np.testing.assert_allclose(seen, exact[:2], atol=1e-6)
-    # and the effect of the catalogue tells the same lean from the torque alone
-    entry, memory = table.build((spec,), robot.joints), np.zeros(table.MEMORY_SIZE)
-    signals = np.zeros((2, table.WIDTH))
-    for _ in range(250):
-        signals[:] = 0.0
-        signals[0, 9] = torque[0]
-        table.run_stage(int(registry.find(spec.name).stage), signals, memory, 2e-3, entry)
-    assert -signals[0, 16] == pytest.approx(exact[8], abs=1e-8)
-
-
-def test_a_case_is_its_seed():
-    """Every number: drawn twice it is the same, and another seed is another robot."""
-    first, again = (cases.make_case('clutter', 4, duration=10.0) for _ in range(2))
-    assert first.truth.effects == again.truth.effects
-    assert first.truth.clutter == again.truth.clutter
-    for name in ('q_link', 'q_motor', 'command'):
-        np.testing.assert_array_equal(getattr(first.recording, name),
-                                      getattr(again.recording, name))
-    other = cases.make_case('clutter', 5, duration=10.0)
-    assert not np.allclose(first.nominal.arm.mass, other.nominal.arm.mass)
 
 
 @pytest.mark.parametrize('kind', cases.KINDS)
@@ -260,49 +145,6 @@ def test_a_reference_is_smooth_and_begins_at_rest(motion, plant):
     assert reversals.min() >= 10
 
 
-def test_small_effects_are_small():
-    """Each takes 1 to 3 % of the friction, or less: rms of what it changes in the torque."""
-    case = cases.make_case('clutter', 2, duration=20.0)
-    static = case.truth.robot.friction.forward.static
-    amplitudes = {'motor_coulomb': 'coulomb', 'actuator_deadzone': 'deadzone',
-                  'spring_hysteresis': 'force', 'motor_torque_bias': 'bias',
-                  'constant_link_torque': 'bias'}
-    seen = 0
-    for spec in case.truth.clutter:
-        if spec.name in amplitudes:
-            names = [parameter.name for parameter in registry.find(spec.name).parameters]
-            size = abs(spec.values[names.index(amplitudes[spec.name])])
-            j = case.truth.robot.joints.index(spec.joint)
-            assert 0.0099 < size / static[j] < 0.0301
-            seen += 1
-    assert seen > 0
-
-
-def test_every_outsider_disturbs():
-    """And only as much as friction does."""
-    robot, gains = plants.draw_robot(np.random.default_rng(0), 'stiff')
-    time = np.arange(3000) * 2e-3
-    reference = motions.draw_reference(np.random.default_rng(0), 'sinusoid', 'stiff', time)
-    quiet = truth.simulate(robot, robot, gains, reference)
-    figures = sizes.figures_of(robot, quiet, 2e-3)
-    for name in outsiders.NAMES:
-        disturbance = outsiders.draw_disturbance(np.random.default_rng(2), name, 0, figures[0],
-                                                 len(time), 2e-3)
-        loud = truth.simulate(robot, robot, gains, reference, disturbance=disturbance)
-        change = sizes.rms(loud.command - quiet.command)
-        assert 1e-4 < change.max() < 1.0, name
-        assert sizes.rms(loud.true[:, 0] - reference[:, 0]).max() < 0.2, name
-
-
-def test_joints_that_do_not_interact(ideal_robot):
-    """One flexible axis: the plant says the same."""
-    friction = ideal_robot.friction.of_joints([0])
-    axis = single_axis(friction, 0.05, stiffness=2.0, motor_inertia=0.005)
-    hidden = truth.simulate_open(axis, COMMAND[:, :1])[1:]
-    plant = push_plant(axis, COMMAND[:, :1], 2e-3, substeps=400)[:, :4]
-    assert np.abs(hidden - plant).max() < 1e-3
-
-
 def test_a_longer_chain_is_refused():
     three = SimpleNamespace(arm=SimpleNamespace(kind='planar'), n_joints=3, effects=())
     with pytest.raises(ConfigError, match='one or two joints, got 3'):
@@ -350,20 +192,6 @@ def test_hide_writes_arms_that_carry_their_weight(tmp_path):
         weights = [chain.matrices(q, zero, zero, zero, one.arm).gravity
                    for one in (robot, believed)]
         np.testing.assert_allclose(weights[0], weights[1], rtol=1e-12)
-
-
-@pytest.mark.parametrize('duration', ['0', '-3', 'nan', 'inf'])
-@pytest.mark.parametrize('verb', ['hide', 'score'])
-def test_a_duration_that_is_none_is_refused(tmp_path, capsys, verb, duration):
-    args = [verb, '--out', str(tmp_path), '--kind', 'clean', f'--duration={duration}']
-    assert main(args) == 2
-    assert f'--duration {float(duration):g}: give 2 to 3600 s' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize('seeds', ['x', '3:3', '-1', '1:'])
-def test_seeds_that_are_none_are_refused(tmp_path, capsys, seeds):
-    assert main(['hide', '--out', str(tmp_path), f'--seeds={seeds}']) == 2
-    assert 'must be a number or A:B' in capsys.readouterr().err
 
 
 def test_the_supply_is_recorded_where_it_matters():

@@ -77,11 +77,6 @@ def test_a_population_is_what_its_row_says(name):
                                       case.truth.robot.friction.backward)], axis=0))
 
 
-def test_some_populations_are_for_tuning_and_most_for_reporting():
-    assert {name for name, row in POPULATIONS.items() if row.tuning} == {
-        'home', 'noise_6', 'gaussian_beliefs', 'paper_polynomial'}
-
-
 @pytest.mark.parametrize(('name', 'low', 'high'), [('beliefs_3', 0.03, 0.09),
                                                    ('beliefs_10', 0.1, 0.3)])
 def test_what_is_believed_is_far_off_and_physical(name, low, high):
@@ -117,23 +112,6 @@ def test_gaussian_beliefs_are_as_wide_as_their_kind():
         assert abs(np.mean(values)) < 0.1 * WIDTHS[kind]
 
 
-def test_errors_of_belief_are_those_the_catalogue_would_name():
-    """Truth over belief: the effect with that number makes the truth of what is believed."""
-    robot = robot_of(0)
-    believed = replace(robot, arm=replace(
-        plants.with_base_parameters(robot.arm, [1.0, 1.0, 1.25, 1.0]),
-        stiffness=robot.arm.stiffness / [1.1, 1.0]))
-    errors = belief_errors(robot, believed)
-    np.testing.assert_allclose(errors['stiffness'], [0.1, 0.0], atol=1e-12)
-    np.testing.assert_allclose(errors['link_inertia'], [0.0, -0.2], atol=1e-12)
-    steady = robot.friction.forward
-    stronger = replace(steady, static=1.2 * steady.static, coulomb=1.2 * steady.coulomb)
-    errors = belief_errors(replace(robot, friction=replace(robot.friction, forward=stronger)),
-                           robot)
-    np.testing.assert_allclose(errors['level'], 0.1)
-    np.testing.assert_allclose(errors['asymmetry'], 0.1)
-
-
 def applied_noise(population, duration=20.0):
     """Return torque applied less commanded (T - 1, 2), its Drives and the samples' period."""
     rng = np.random.default_rng(4)
@@ -163,28 +141,6 @@ def test_coloured_torque_noise_is_of_first_order_with_the_corner_drawn():
     for one, corner in zip(noise.T, drives.corner, strict=True):
         remembered = np.corrcoef(one[1:], one[:-1])[0, 1]
         assert -np.log(remembered) / (2.0 * np.pi * 2e-3) == pytest.approx(corner, rel=0.3)
-
-
-def test_nobody_records_the_noise_and_it_is_not_in_the_belief():
-    case, home = drawn('noise_6', 'clean'), drawn('gaussian_beliefs', 'clean')
-    np.testing.assert_array_equal(case.recording.tau_motor[1:], case.recording.command[:-1])
-    np.testing.assert_array_equal(case.nominal.friction.stiffness,
-                                  home.nominal.friction.stiffness)
-    assert np.any(case.recording.q_motor != home.recording.q_motor)
-
-
-def test_slow_robots_creep_and_rest():
-    """Rests of 1 to 3 s between moves, speeds down to that of Stribeck."""
-    time = np.arange(30000) * 2e-3
-    reference = motions.draw_reference(np.random.default_rng(2), 'slow', 'soft', time)
-    assert np.abs(reference[:, 0]).max() < 1.2 and np.abs(reference[:, 1]).max() < 0.61
-    rests = np.all(np.abs(reference[:, 1]) < 1e-12, axis=1)
-    edges = np.flatnonzero(np.diff(rests.astype(int)))
-    longest = np.diff(edges)[1::2] * 2e-3 if not rests[0] else np.diff(edges[1:])[::2] * 2e-3
-    within = longest[longest > 0.5]
-    assert len(within) >= 4 and np.all((within > 0.99) & (within < 3.01))
-    moving = np.abs(reference[:, 1]).max(axis=1)
-    assert np.mean(moving < 0.06) > 0.3
 
 
 def test_pid_follows_without_a_model_of_friction(tmp_path):
@@ -229,9 +185,3 @@ def test_what_a_population_cannot_have_is_refused():
         make_case('single', 0, population='mujoco', effect='base_flexibility')
     with pytest.raises(ConfigError, match="population 'nois_6' is unknown; did you mean"):
         make_case('single', 0, population='nois_6')
-
-
-def test_without_mujoco_it_is_asked_for(monkeypatch):
-    monkeypatch.setattr(mujoco_plant, 'available', lambda: False)
-    with pytest.raises(ConfigError, match='not installed: install the extra bench'):
-        make_case('clean', 0, population='mujoco', duration=2.0)

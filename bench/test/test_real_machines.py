@@ -9,7 +9,7 @@ import json
 from bench.__main__ import main
 from bench.real_machines import least_squares, library, table
 from bench.real_machines.least_squares import Part
-from bench.real_machines.machines import between, MACHINES, shared_data, VARIABLE
+from bench.real_machines.machines import MACHINES, shared_data, VARIABLE
 from bench.real_machines.motion import low_pass, Motion, motion_of, residual_torque, rms
 from bench.real_machines.split import Outcome, parts_of
 from gms_flex_control.data.recording import Recording
@@ -87,20 +87,6 @@ def test_nothing_is_chosen_where_the_textbook_is_the_truth():
     assert found.chosen.groups == found.plain.groups
 
 
-def test_friction_is_never_negative():
-    driven = replace(motion(), torque=torque(motion().time) - 5.0 * np.sign(motion().rate))
-    assert least_squares.textbook(part(driven), BAND, False).weight('coulomb') == 0.0
-
-
-def test_elasto_plastic_element_follows_its_closed_form():
-    """From +1 it goes to -1 within twice its yield after a reversal, along a straight line."""
-    path = np.concatenate([np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.0, 101)[1:]])
-    force = library.elasto_plastic(path, 0.2)
-    back = 1.0 - path[101:]
-    assert force[:101] == pytest.approx(np.minimum(path[:101] / 0.2, 1.0))
-    assert force[101:] == pytest.approx(np.maximum(1.0 - back / 0.2, -1.0))
-
-
 def closed_form_recording():
     """Return a Recording of the closed form, torque held over each sample as its middle has it."""
     time = PERIOD * np.arange(10000)
@@ -133,21 +119,6 @@ def test_a_model_with_the_same_parameters_leaves_what_least_squares_leaves():
     more = low_pass(residual_torque(recording, heavier), 8.0, one.period) - left
     expected = low_pass(-0.5 * one.acceleration, 8.0, one.period)
     assert rms((more - expected)[one.used]) < 0.01 * rms(expected)
-
-
-def test_where_the_axis_stands_nothing_is_asked():
-    recording = closed_form_recording()
-    still = recording.q_link.copy()
-    still[2000:4000] = still[2000]
-    used = motion_of(replace(recording, q_link=still)).used
-    time = PERIOD * 2.0 * np.arange(len(used))
-    assert not used[(time > 4.2) & (time < 7.8)].any() and used[(time > 9) & (time < 12)].all()
-
-
-def test_a_cut_recording_begins_anew():
-    cut = between(closed_form_recording(), 2.0, 5.0)
-    assert cut.time[0] == 0.0 and cut.time[-1] == pytest.approx(3.0 - PERIOD)
-    assert cut.q_link[0, 0] == pytest.approx(angle(2.0))
 
 
 DEGREE, INCH, KIP = np.pi / 180.0, 0.0254, 4448.2216

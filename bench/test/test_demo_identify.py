@@ -9,9 +9,7 @@ import pty
 import subprocess
 
 from bench.__main__ import main
-from bench.demos import identify as demos
 from gms_flex_control.data import reader
-from gms_flex_control.errors import IdentificationError
 import numpy as np
 from processes import BENCH, environment_of
 import pytest
@@ -72,29 +70,6 @@ def test_the_bag_holds_the_motion_and_its_phases(outcome):
     assert {phase.phase for phase in found} == {'break_away', 'sliding', 'approach', 'idle'}
     assert np.isfinite(recording.tau_motor).all()
     assert np.ptp(recording.q_link[:, 1]) > 0.2
-
-
-def test_the_fit_gets_recording_and_phases_of_a_bag_read_once(outcome, monkeypatch):
-    opened, fitted = [], []
-
-    class Counted(reader.Bag):
-        def __init__(self, path):
-            opened.append(path)
-            super().__init__(path)
-
-    def stop(takes, *_, **__):
-        fitted.extend(takes)
-        raise IdentificationError('enough')
-
-    monkeypatch.setattr(reader, 'Bag', Counted)
-    monkeypatch.setattr('bench.demos.identify.identify', stop)
-    bag = outcome[0] / 'bag'
-    with pytest.raises(IdentificationError, match='enough'):
-        demos.fit_experiment(outcome[0], bag, demos.read_experiment())
-    assert opened == [bag]
-    (recording, found), = fitted
-    assert found
-    assert len(recording.time) == len(reader.read_recording(bag).time)
 
 
 def test_the_processes_leave_no_traceback(outcome):

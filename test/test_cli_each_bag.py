@@ -9,7 +9,6 @@ import os
 from pathlib import Path
 import signal
 import subprocess
-import threading
 from types import SimpleNamespace
 
 from gms_flex_control.cli import each_bag as each
@@ -20,7 +19,7 @@ from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BatchError, ConfigError
 from gms_flex_control.identification.output import is_outlier, over_bags
 from identified_axis import pendulum
-from loopback_cluster import cluster, until
+from loopback_cluster import until
 import numpy as np
 from processes import environment_of, TOOL
 import pytest
@@ -115,18 +114,16 @@ def test_each_bag_is_identified_as_if_it_were_alone(bags, alone, tmp_path):
 
 
 def test_processes_and_a_killed_run_say_what_a_plain_loop_says(bags, alone, tmp_path):
-    """
-    Kill a worker while results are written, then the whole run; begun again, it goes on.
-
-    What was finished is not touched any more.
-    """
+    """Kill a worker while results are written, then the whole run; begun again, it goes on."""
     out = tmp_path / 'out'
     run = run_in_process(bags, out)
     until(lambda: parts_in(out))
     os.kill(children(run.pid)[0], signal.SIGKILL)
     until(lambda: identified_in(out))
+    workers = children(run.pid)
     run.kill()
     run.communicate()
+    until(lambda: not any(Path(f'/proc/{pid}').exists() for pid in workers))  # they end as well
     times = {out / name / 'report.json': (out / name / 'report.json').stat().st_mtime_ns
              for name in identified_in(out)}
     again = run_in_process(bags, out, '--json')
@@ -134,22 +131,6 @@ def test_processes_and_a_killed_run_say_what_a_plain_loop_says(bags, alone, tmp_
     assert (again.returncode, told) == (1, b'')
     assert printed.decode() == (out / 'summary.json').read_text()
     assert times == {path: path.stat().st_mtime_ns for path in times}
-    assert_same(out, alone)
-
-
-def test_a_cluster_says_the_same_even_when_a_worker_is_killed(bags, alone, tmp_path):
-    """Kill -9 while results are written; the other worker does the bag again."""
-    out = tmp_path / 'out'
-    with cluster(tmp_path) as (address, workers):
-        def disturb():
-            until(lambda: parts_in(out))
-            workers[0].kill()
-
-        thread = threading.Thread(target=disturb)
-        thread.start()
-        assert main(arguments(bags, out, '--scheduler', address)) == 1
-        thread.join()
-        assert workers[0].poll() == -signal.SIGKILL
     assert_same(out, alone)
 
 

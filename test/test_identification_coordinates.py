@@ -6,7 +6,6 @@
 from gms_flex_control.identification.coordinates import (
     Coordinates,
     equal_blocks,
-    friction_record,
     MOST_BLOCKS,
     N_STEADY,
     presliding_curve,
@@ -75,37 +74,6 @@ def test_directions_are_the_derivatives_of_the_parameters(kind):
                                    atol=1e-9, err_msg=f'free number {p}')
 
 
-@pytest.mark.parametrize('kind', KINDS)
-def test_whatever_the_numbers_are_the_parameters_are_physical(kind):
-    coordinates, free = packed(kind)
-    for seed in range(20):
-        wild = free + 4.0 * np.random.default_rng(seed).standard_normal(len(free))
-        theta, _ = coordinates.unpack(wild)
-        stiffness, weight = blocks_of(theta)
-        assert np.all(theta[:N_STEADY] > 0.0) and np.all(theta[[0, 4]] >= theta[[1, 5]])
-        assert weight.sum() == pytest.approx(1.0) and np.all(stiffness[:4] > 0.0)
-
-
-def test_static_friction_that_is_not_above_coulomb_packs_to_a_small_drop():
-    coordinates = Coordinates(1)
-    steady = STEADY | {'static': [0.09, 0.05], 'coulomb': [0.09, 0.06]}
-    theta, _ = coordinates.unpack(coordinates.pack(**steady, yields=[1e-3]))
-    np.testing.assert_allclose(theta[[0, 4]], 1.001 * theta[[1, 5]], rtol=1e-12)
-
-
-def test_the_kernels_get_each_joint_with_its_own_numbers():
-    thetas = [packed('free weights')[0].unpack(packed('free weights')[1])[0],
-              Coordinates(1).unpack(Coordinates(1).pack(**STEADY, yields=[1e-3]) + 0.1)[0]]
-    record = friction_record(thetas)
-    for j, theta in enumerate(thetas):
-        for row, first in ((0, 0), (1, 4)):
-            got = [getattr(record, name)[row, j] for name in (
-                'static', 'coulomb', 'velocity', 'viscous')]
-            np.testing.assert_array_equal(got, theta[first:first + 4])
-        np.testing.assert_array_equal([record.stiffness[j], record.weight[j]], blocks_of(theta))
-        assert record.attraction[j] == theta[8]
-
-
 def test_the_presliding_curve_is_a_sum_of_springs_up_to_their_share():
     coordinates, free = packed('free weights')
     theta, _ = coordinates.unpack(free)
@@ -139,11 +107,3 @@ def test_more_equal_blocks_come_nearer_to_a_curve():
         curve = presliding_curve(found, at)
         off.append(np.abs(curve - presliding_curve(theta, at)).max() / 0.106)
     assert np.all(np.diff(off) < 0.0) and off[-1] < 0.06, off
-
-
-def test_a_block_without_weight_has_no_part_in_the_quantiles():
-    coordinates, free = packed('free weights')
-    free[coordinates.size - 3:] = [60.0, 0.0, 0.0]  # all weight on the first block
-    theta, _ = coordinates.unpack(free)
-    theta[BLOCKS + MOST_BLOCKS + 1:BLOCKS + 2 * MOST_BLOCKS] = 0.0
-    np.testing.assert_allclose(yield_quantiles(theta, 3), YIELDS[0], rtol=1e-12)

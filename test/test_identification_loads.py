@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from bench.hidden_arms.wrong_links import base_values, hidden_arm, moved
 from gms_flex_control.data.conditions import Conditions, with_conditions
-from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
@@ -15,7 +14,6 @@ from gms_flex_control.errors import BagError, ConfigError, IdentificationError
 from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
 from gms_flex_control.identification.assumed_robot import believed_model
-from gms_flex_control.identification.identify import Data
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
 from gms_flex_control.identification.recording_checks import require
 from gms_flex_control.params.arm import Body
@@ -177,17 +175,6 @@ def test_known_links_tell_an_unknown_load_of_one_recording(hidden):
     none = replace(bare, tau_motor=bare.tau_motor / SCALE, load_unknown=True)
     with pytest.raises(IdentificationError, match='which is none: leave load away'):
         fit_differences([none], replace(robot, arm=arm))
-
-
-def test_friction_is_fitted_beside_the_load_that_was_found(hidden):
-    """The torque left for friction is that with the load stated, but where it takes a share."""
-    robot, arm, (_, heavy) = hidden
-    given = replace(robot, arm=arm)
-    heavy = replace(heavy, tau_motor=(heavy.tau_motor - OFFSET) / SCALE, temperature='',
-                    q_link=heavy.q_link - ZERO)
-    stated, found = (Data(((one, ()),), (), given).bundle.segments[0].torque[
-        :, PER_LOAD == 0.0] for one in (heavy, replace(heavy, load=None, load_unknown=True)))
-    assert rms((found - stated).ravel()) < 0.05 * rms(stated.ravel())
 
 
 def test_friction_of_a_motor_that_two_joints_turn_is_told_from_theirs(hidden):

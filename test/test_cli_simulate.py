@@ -20,7 +20,6 @@ pytestmark = pytest.mark.fast
 
 CONFIG = Path(__file__).parents[1] / 'config'
 ROBOT, CONTROLLER = CONFIG / 'robot.yaml', CONFIG / 'controller.yaml'
-HERE = Path(__file__).parents[1]
 
 
 def parameters(path, text):
@@ -40,15 +39,6 @@ def simulate(tmp_path, capsys):
 
 
 # the front end ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize('arguments', [
-    ['simluate'], ['simulate'], ['simulate', '--out', 'x', '--duration', 'long'],
-    ['demo', '--modes', 'gsm'], ['demo', '--wings']])
-def test_wrong_arguments_exit_2(arguments, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(arguments)
-    assert end.value.code == 2 and 'usage: gms_flex' in capsys.readouterr().err
 
 
 def test_the_process_exits_0_1_and_2(tmp_path):
@@ -136,25 +126,6 @@ def test_single_parameters_are_set_as_of_a_node(simulate, tmp_path):
     assert recording.reference[0, 0].tolist() == recording.q_link[0].tolist()
 
 
-def test_the_same_seed_gives_the_same_run_and_another_does_not(simulate, tmp_path):
-    runs = []
-    for name, seed in (('a', 1), ('b', 1), ('c', 2)):
-        assert simulate('--duration', 0.2, '--set', 'encoder.noise=1e-4', f'seed={seed}',
-                        out=tmp_path / name)[0] == 0
-        runs.append(read_recording(tmp_path / name).q_link)
-    assert np.array_equal(runs[0], runs[1]) and not np.array_equal(runs[0], runs[2])
-
-
-def test_the_controller_may_believe_another_robot(simulate, tmp_path):
-    light = tmp_path / 'light.yaml'
-    light.write_text(ROBOT.read_text().replace('mass: 2.3 ', 'mass: 1.3 '))
-    assert simulate('--duration', 2, out=tmp_path / 'true')[0] == 0
-    assert simulate('--duration', 2, '--model', light, out=tmp_path / 'light')[0] == 0
-    true, wrong = (read_recording(tmp_path / name) for name in ('true', 'light'))
-    np.testing.assert_array_equal(true.reference, wrong.reference)
-    assert not np.array_equal(true.command, wrong.command)
-
-
 def test_motor_names_may_be_left_out_of_a_rigid_robot(tmp_path):
     text = ROBOT.read_text().replace('stiffness: 1.5  ', 'stiffness: .inf')
     (tmp_path / 'named.yaml').write_text(text.replace(
@@ -165,51 +136,6 @@ def test_motor_names_may_be_left_out_of_a_rigid_robot(tmp_path):
     plans = [read_plan([tmp_path / name, CONTROLLER, CONFIG / 'sinusoid.yaml'], duration=0.2)
              for name in ('named.yaml', 'bare.yaml')]
     assert all(np.all(plan.robot.arm.rigid) for plan in plans)
-
-
-@pytest.mark.parametrize('options, sentence', [
-    (['--duration', '0'], '--duration must be'),
-    (['--duration', 'nan'], '--duration must be'),
-    (['--duration', 'inf'], '--duration must be'),
-    (['--duration', '1', '--set', 'gains.joint1.kd_lnk=1'],
-     "gains.joint1.kd_lnk is not a known parameter; did you mean 'gains.joint1.kd_link'?"),
-    (['--duration', '1', '--set', 'gains.joint1.kd_link'], 'must have the form NAME=VALUE'),
-    (['--duration', '1', '--set', 'gains.joint1.kd_link=[1'], "'[1' is not a YAML value"),
-    (['--duration', '1', '--set', 'gains.joint1.kd_link=-1'], 'gains.joint1.kd_link must be'),
-    (['--duration', '1', '--set', 'rate=fast'], "rate must be a number [Hz], got 'fast'"),
-    (['--duration', '1', '--set', 'rate=.nan'], 'rate must be finite, got nan'),
-    (['--duration', '1', '--compensation', 'gsm'], "did you mean 'gms'?"),
-    (['--duration', '1', '--trajectory', 'sinus'], '--trajectory sinus: no such file'),
-    (['--duration', '1', '--trajectory', 'absent.yaml'], 'absent.yaml: cannot be read'),
-    (['--duration', '1', '--set', 'trajectory.type=torque_ramp', 'trajectory.joint1.torque=0.1'],
-     'is an open-loop torque'),
-    (['--duration', '1', '--set', 'trajectory.type=torque_ramp'], 'trajectory.<joint>.torque'),
-    (['--duration', '1', '--set', 'arm.joint1.stiffness=1e7'], 'the simulation diverged at'),
-    (['--duration', '1', '--robot', 'absent.yaml'], 'absent.yaml: cannot be read'),
-    (['--duration', '1', '--robot', str(CONFIG)], 'cannot be read')])
-def test_what_cannot_be_simulated_is_said_in_one_sentence(simulate, tmp_path, options, sentence):
-    code, printed, complaint = simulate(*options)
-    assert code == 2 and printed == ''
-    assert complaint.startswith('gms_flex simulate: ') and len(complaint.splitlines()) == 1
-    assert sentence in complaint
-    assert not (tmp_path / 'bag').exists()
-
-
-@pytest.mark.parametrize('text, sentence', [
-    ('gains: {joint1: {kd_link: stiff}}', 'gains.joint1.kd_link must be a number'),
-    ('friction: {joint1: {forward: {static: 0.09, coulomb: 0.11}}}', 'swapped')])
-def test_a_bad_file_is_named(simulate, tmp_path, text, sentence):
-    bad = parameters(tmp_path / 'bad.yaml', text)
-    code, _, complaint = simulate('--duration', 1, '--trajectory', bad)
-    assert code == 2 and sentence in complaint and len(complaint.splitlines()) == 1
-    assert str(bad) in complaint
-
-
-def test_a_bag_is_never_overwritten(simulate, tmp_path):
-    (tmp_path / 'bag').mkdir()
-    code, _, complaint = simulate('--duration', 0.1)
-    assert code == 2 and 'exists already' in complaint
-    assert list((tmp_path / 'bag').iterdir()) == []
 
 
 def test_a_motion_without_end_lasts_20_s_unless_a_duration_is_given():

@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from core_runs import push_plant, single_axis
+from core_runs import single_axis
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table
 from gms_flex_control.effects.base import Stage
@@ -114,26 +114,6 @@ def test_friction_hysteresis_gives_back_no_more_than_it_took(seed):
     work = np.cumsum(torque[1:] * np.diff(angle))  # torque at the end of a step: never too small
     assert work.min() >= 0.0
     assert work[-1] - work[-1 - len(cycle)] >= 0.0
-
-
-def test_viscous_friction_that_is_asymmetric_pushes_against_forward_motion(single_rigid):
-    """Slopes 0.02 + 0.01 forward, 0.02 - 0.01 backward: so fast speeds decay."""
-    spec = EffectSpec(name='viscous_asymmetry', joint='axis', values=(0.01,))
-    robot = replace(single_rigid, effects=(spec,))
-    for rate, slope in ((1.0, 0.03), (-1.0, 0.01)):
-        state = plant.init(robot)
-        state.dq_link[:] = state.dq_motor[:] = rate
-        run = push_plant(robot, np.zeros((500, 1)), 1e-3, substeps=50, state=state)
-        assert run[-1, 1, 0] == pytest.approx(rate * np.exp(-0.5 * slope / 0.05), rel=1e-4)
-
-
-def test_friction_at_low_speed_settles_where_its_torque_meets_the_drive(single_rigid):
-    """Drag of 0.02 v (1 - 0.3 exp(-v / 0.5)), the only friction there is, at constant torque."""
-    spec = EffectSpec(name='low_speed_friction', joint='axis', values=(-0.3, 0.5))
-    robot = replace(single_rigid, effects=(spec,))
-    run = push_plant(robot, np.full((40000, 1), 0.01), 1e-3)
-    v = run[-1, 1, 0]
-    assert 0.02 * v * (1.0 - 0.3 * np.exp(-v / 0.5)) == pytest.approx(0.01, rel=1e-5)
 
 
 @pytest.mark.parametrize('rotor', [0.0, 0.02])

@@ -9,7 +9,6 @@ import re
 
 from core_runs import model_with_error, single_axis
 from gms_flex_control.control import cascade
-from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.key import of_joints
 from gms_flex_control.simulation import encoder, loop, plant
@@ -19,8 +18,8 @@ import pytest
 
 SINUSOID = builders.sinusoid([1.0, 1.0], 6.0)
 POLYNOMIAL = builders.polynomial([1.0, 1.0], 5.0, 5.0)
+PAPER_RATIOS = np.array([[6.1, 8.4], [31.0, 9.5]])  # Table 4: sinusoid, polynomial
 ONE_MOVE = builders.via_points([[0.0, 0.0], [1.0, 1.0]], 5.0, 0.0)
-PAPER_RATIOS = {'sinusoid': [6.1, 8.4], 'polynomial': [31.0, 9.5]}  # Table 4
 
 
 def with_mode(gains, mode, **changes):
@@ -113,35 +112,6 @@ def test_the_motor_subsystem_closes_as_equation_30(ideal_robot, gains, mode, tim
                                rtol=tolerance)
 
 
-@pytest.mark.parametrize(('mode', 'trajectory', 'expected'), [
-    ('none', 'sinusoid', [2.2e-3, 7.4e-3]), ('none', 'move', [1.35e-3, 1.2e-2]),
-    ('gms_paper', 'sinusoid', [3.2e-6, 5.5e-6]), ('gms_paper', 'move', [7.7e-6, 2.0e-5]),
-    ('gms', 'sinusoid', [8.0e-7, 9.7e-8]), ('gms', 'move', [9.6e-8, 4.8e-8])])
-def test_tracking_with_an_exact_model_is_as_good_as_expected(
-        ideal_robot, gains, mode, trajectory, expected):
-    """Mean square errors of a prototype: none within a factor 2, compensated at most 2.5."""
-    reference, duration = (SINUSOID, 20.0) if trajectory == 'sinusoid' else (ONE_MOVE, 10.0)
-    found = mean_square(loop.run(ideal_robot, ideal_robot, with_mode(gains, mode),
-                                 reference, duration=duration))
-    assert np.all(found < 2.5 * np.array(expected))
-    if mode == 'none':
-        assert np.all(found < 2.0 * np.array(expected))
-        assert np.all(found > 0.5 * np.array(expected))
-
-
-@pytest.mark.parametrize('trajectory', ['sinusoid', 'polynomial'])
-def test_with_a_mixed_model_error_it_still_beats_the_papers_ratios(robot, gains, trajectory):
-    """Friction x 0.85, K x 1.05, inertia x 0.93, 20 000 counts, 2 ms: none / gms, Table 4."""
-    model = model_with_error(robot, friction=0.85, stiffness=1.05, inertia=0.93)
-    reference, duration = (SINUSOID, 20.0) if trajectory == 'sinusoid' else (POLYNOMIAL, 25.0)
-    errors = {mode: mean_square(loop.run(
-        robot, model, with_mode(gains, mode), reference, duration=duration))
-        for mode in ('none', 'gms_paper', 'gms')}
-    assert np.all(errors['none'] / errors['gms'] > PAPER_RATIOS[trajectory])
-    assert np.all(errors['none'] / errors['gms_paper'] > 6.0)
-    assert np.all(errors['gms'] < errors['gms_paper'])
-
-
 def documented(row):
     """Return the four numbers of each row of docs/model.md that begins with ``row``."""
     text = (Path(__file__).parents[1] / 'docs' / 'model.md').read_text(encoding='utf-8')
@@ -152,7 +122,7 @@ def documented(row):
 
 @pytest.mark.parametrize('mode', ['none', 'gms_paper', 'gms'])
 def test_the_documentation_states_what_is_reached(robot, ideal_robot, gains, mode):
-    """Both tables of docs/model.md, within 30 %."""
+    """Both tables of docs/model.md, within 30 %; with model errors more than Table 4."""
     exact = [mean_square(loop.run(ideal_robot, ideal_robot, with_mode(gains, mode),
                                   reference, duration=duration))
              for reference, duration in ((SINUSOID, 20.0), (ONE_MOVE, 10.0))]
@@ -166,6 +136,7 @@ def test_the_documentation_states_what_is_reached(robot, ideal_robot, gains, mod
         for each in ('none', mode))) for reference, duration in ((SINUSOID, 20.0),
                                                                  (POLYNOMIAL, 25.0))]
     np.testing.assert_allclose(np.concatenate(ratios), rows[1], rtol=0.3)
+    assert np.all(np.array(ratios) > (PAPER_RATIOS if mode == 'gms' else 6.0))
 
 
 def after_move(robot, model, gains, move_time, far=(1.0, 1.0)):
@@ -173,15 +144,6 @@ def after_move(robot, model, gains, move_time, far=(1.0, 1.0)):
     reference = builders.via_points([[0.0, 0.0], far], move_time, 0.0)
     run = loop.run(robot, model, gains, reference, duration=move_time + 6.0)
     return np.ptp(run.true[run.time >= move_time + 1.0, 0], axis=0)
-
-
-@pytest.mark.parametrize('ratio', [0.8, 1.0, 1.3])
-def test_it_holds_still_after_a_move_whatever_the_friction(ideal_robot, gains, ratio):
-    """No hunting with friction believed 0.8 to 1.3 times what it is: below 0.1 mrad."""
-    model = model_with_error(ideal_robot, friction=ratio)
-    for far in ((1.0, 1.0), (1.0, -1.0), (-0.7, 0.4)):
-        p2p = after_move(ideal_robot, model, with_mode(gains, 'gms'), 5.0, far)
-        assert p2p.max() < 1e-4
 
 
 @pytest.mark.parametrize('ratio', [0.8, 1.0, 1.3])
@@ -273,15 +235,3 @@ def test_three_joints_are_controlled(ideal_robot, gains):
     run = loop.run(robot, robot, three, builders.sinusoid([0.6, 0.6, 0.6], 6.0),
                    duration=12.0)
     assert np.all(mean_square(run) < 1e-4)
-
-
-@pytest.mark.parametrize(('changes', 'sentence'), [
-    ({'compensation': 'gsm'}, "compensation must be one of none, gms_paper, gms, .*got 'gsm'"),
-    ({'kd_link': [-0.8, 0.8]}, r'kd_link must be at least 0, got \[-0.8  0.8\]'),
-    ({'lambda_motor': [30.0]}, r'lambda_motor must have shape \(2,\)'),
-    ({'observer_gain': [np.nan, 1.0]}, r'observer_gain must be finite'),
-    ({'filter_bandwidth': [0.0, 100.0]}, r'filter_bandwidth must be above 0'),
-])
-def test_impossible_gains_are_refused(gains, changes, sentence):
-    with pytest.raises(ParameterError, match=sentence):
-        replace(gains, **changes)

@@ -12,7 +12,7 @@ import numpy as np
 from processes import run_with_nodes
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 BUDGET = 30.0
 
 

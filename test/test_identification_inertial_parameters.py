@@ -15,7 +15,6 @@ from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.inertial_parameters import (
     base_of,
-    inertial_parameters,
     link_regressors,
 )
 from gms_flex_control.identification.segments import segments_of
@@ -37,14 +36,6 @@ def hidden():
 @pytest.fixture(scope='module')
 def found(hidden):
     return fit_base_parameters([hidden[2]], hidden[1])
-
-
-def test_the_torque_is_the_regressor_times_the_parameters():
-    arm = believed().arm
-    motion = np.random.default_rng(0).standard_normal((3, 20, 6))
-    parameters = np.concatenate([inertial_parameters(arm), arm.motor_inertia])
-    np.testing.assert_allclose(link_regressors(*motion, arm) @ parameters,
-                               chain.inverse_dynamics(*motion, arm), rtol=1e-9, atol=1e-9)
 
 
 def test_base_parameters_are_as_many_as_motion_determines_and_make_the_same_torque():

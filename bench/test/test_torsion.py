@@ -19,7 +19,7 @@ import pytest
 
 pytestmark = pytest.mark.fast
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 KR300 = ROOT.parent / 'shared' / 'data' / 'kr300'
 K, J, M = 4e5, 3.0, 20.0
 

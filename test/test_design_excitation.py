@@ -18,7 +18,6 @@ from gms_flex_control.design.excitation import (
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import read_plan
-from gms_flex_control.identification.inertial_parameters import base_of
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.trajectory.builders import fourier
 import numpy as np
@@ -84,50 +83,6 @@ def test_the_condition_number_of_a_pendulum_is_that_of_its_three_columns(pendulu
     assert number == pytest.approx(np.linalg.cond(table / np.linalg.norm(table, axis=0)))
 
 
-def test_the_number_printed_is_that_of_torques_differentiated_by_parameters(written):
-    """Columns by inverse dynamics of arms with one parameter more; singular values of these."""
-    robot, (folder, values) = load_robot(ROBOT), written
-    time, *motion = dense(planned(folder))
-    begin = time[-1] - 2.0 - 10.0  # the last period, before the way to rest
-    motion = [one[(time >= begin) & (time < begin + 10.0)][::10] for one in motion]
-    columns = []
-    for k in base_of(robot.arm)[0]:
-        link, part = divmod(int(k), 10)
-        columns.append(_torque_per_unit(robot.arm, link, part, motion))
-    table = np.stack(columns, axis=2) / robot.friction.forward.coulomb[:, None]
-    for j in range(6):
-        rate = motion[1][:, j]
-        friction = np.stack([np.sign(rate), rate, np.ones(len(rate))], axis=1)
-        table[:, j] -= friction @ np.linalg.lstsq(friction, table[:, j], rcond=None)[0]
-    table = table.reshape(-1, table.shape[2])
-    independent = np.linalg.cond(table / np.linalg.norm(table, axis=0))
-    assert values['condition_number'] == pytest.approx(independent, rel=0.02)
-    assert values['condition_number'] < 0.2 * values['sinusoids']
-
-
-def _torque_per_unit(arm, link, part, motion):
-    """Return the torque (S, n) per unit of a number of a link, by differences of two arms."""
-    def torque(mass, moment, about):
-        own, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
-        m, h = own[link] + mass, own[link] * com[link] + moment
-        frame = inertia[link] + own[link] * (com[link] @ com[link] * np.eye(3) - np.outer(
-            com[link], com[link])) + about
-        own[link], com[link] = m, h / m
-        inertia[link] = frame - m * (com[link] @ com[link] * np.eye(3)
-                                     - np.outer(com[link], com[link]))
-        return chain.inverse_dynamics(*motion, replace(arm, mass=own, com=com, inertia=inertia))
-    step, nothing = 1e-3, np.zeros((3, 3))
-    mass, moment, about = 0.0, np.zeros(3), nothing.copy()
-    if part == 0:
-        mass = step
-    elif part < 4:
-        moment[part - 1] = step
-    else:
-        a, b = np.triu_indices(3)[0][part - 4], np.triu_indices(3)[1][part - 4]
-        about[a, b] = about[b, a] = step
-    return (torque(mass, moment, about) - torque(0.0, np.zeros(3), nothing)) / step
-
-
 def test_the_written_motion_keeps_all_limits_from_rest_to_rest(written):
     robot, (folder, values) = load_robot(ROBOT), written
     frames, arm = robot.arm.frames, robot.arm
@@ -142,6 +97,7 @@ def test_the_written_motion_keeps_all_limits_from_rest_to_rest(written):
     for k in (0, -1):
         np.testing.assert_allclose([rate[k], second[k]], 0.0, atol=0.05)
     assert max(values['shares_of_limits'].values()) > 0.8, 'limits are made use of'
+    assert values['condition_number'] < 0.2 * values['sinusoids']
 
 
 def test_lines_are_as_far_apart_as_a_fine_search_finds():

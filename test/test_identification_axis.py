@@ -8,8 +8,6 @@ from dataclasses import replace
 from core_runs import scaled_friction
 from gms_flex_control.data.recording import Phase
 from gms_flex_control.identification.identify import Data, identify, Options
-from gms_flex_control.identification.output import write_friction
-from gms_flex_control.schema.files import load_robot, save_robot
 from identified_axis import axis, experiment, JOINT, part, STATIC, without_phases, YIELDS
 import numpy as np
 import pytest
@@ -102,12 +100,7 @@ def test_intervals_are_true_and_narrow_where_torque_noise_is_what_limits(rigid):
 
 
 def test_intervals_contain_the_truth_or_a_hair_beyond(flexible):
-    """
-    Within half a percent beyond an interval where nothing but counts is noise.
-
-    The predictor steps at 500 Hz, the simulated axis at 10 kHz: what that moves parameters by,
-    a few parts in a thousand, no statistics of the innovations know.
-    """
+    """Within half a percent beyond an interval where nothing but counts is noise."""
     truth = truths(axis())
     for name, estimate in by_name(flexible).items():
         if estimate.flags:
@@ -136,11 +129,7 @@ def test_a_block_that_slips_beyond_presliding_only_is_not_passed_off_as_preslidi
 
 
 def test_a_block_that_never_slips_is_no_friction():
-    """
-    One of four blocks is a spring over all of the range: three carry what friction there is.
-
-    That is 3/4 of the levels in the robot's file, of which the data show nothing.
-    """
+    """One of four blocks is a spring over all of the range: three carry what friction there is."""
     yields = (NEVER, *YIELDS[1:])
     found = identify([experiment(rigid=True, yields=yields)], axis(rigid=True, yields=yields),
                      options=Options(blocks=(3,))).robot.friction
@@ -149,21 +138,6 @@ def test_a_block_that_never_slips_is_no_friction():
             assert error == pytest.approx(-0.25, abs=0.03), name
     stiffness = np.sort(0.25 * STATIC / YIELDS[1:])
     np.testing.assert_allclose(np.sort(found.stiffness[0]), stiffness, rtol=0.05)
-
-
-def test_controller_and_plant_load_what_was_found_after_the_robot(flexible, tmp_path):
-    save_robot(axis(), tmp_path / 'robot.yaml')
-    write_friction(flexible, tmp_path / 'friction.yaml')
-    loaded = load_robot([tmp_path / 'robot.yaml', tmp_path / 'friction.yaml'])
-    found = flexible.robot.friction
-    for side in ('forward', 'backward'):
-        for name in NAMES:
-            np.testing.assert_allclose(getattr(getattr(loaded.friction, side), name),
-                                       getattr(getattr(found, side), name), rtol=1e-9)
-    np.testing.assert_allclose(loaded.friction.stiffness, found.stiffness, rtol=1e-9)
-    np.testing.assert_allclose(loaded.friction.attraction, found.attraction, rtol=1e-9)
-    for name in ('inertia', 'stiffness', 'motor_inertia'):
-        np.testing.assert_array_equal(getattr(loaded.arm, name), getattr(axis().arm, name))
 
 
 def test_two_bags_tell_what_one_tells():
@@ -193,30 +167,6 @@ def test_phases_are_not_needed_and_a_recording_apart_sets_the_errors(rigid):
     assert held_out.relative != rigid.joints[0].held_out.relative
 
 
-def two_joints(reverse=False):
-    """Return a take of two joints, runs of unlike seeds beside each other, and their robot."""
-    runs = [experiment(seed)[0] for seed in (1, 2)]
-    length = min(len(run.time) for run in runs)
-    order, names = ([1, 0] if reverse else [0, 1]), ('first', 'second')
-    channels = {name: np.concatenate([getattr(runs[k], name)[:length] for k in order], axis=-1)
-                for name in ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command',
-                             'reference', 'friction_hat')}
-    one = axis()
-    recording = replace(runs[0], joints=tuple(names[k] for k in order),
-                        time=runs[0].time[:length], supply=np.nan, scale_sd=0.0, **channels)
-    twice = {name: np.tile(getattr(one.arm, name), 2) for name in (
-        'mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping', 'offset')}
-    sides = {side: replace(getattr(one.friction, side), **{
-        name: np.tile(getattr(getattr(one.friction, side), name), 2) for name in NAMES})
-        for side in ('forward', 'backward')}
-    friction = replace(one.friction, **sides, stiffness=np.tile(one.friction.stiffness, (2, 1)),
-                       weight=np.tile(one.friction.weight, (2, 1)),
-                       attraction=np.tile(one.friction.attraction, 2))
-    robot = replace(one, joints=names, motors=('first_motor', 'second_motor'),
-                    arm=replace(one.arm, **twice), friction=friction)
-    return (recording, ()), robot
-
-
 def assert_same_data(one, other):
     """Raise unless two Data hand the same numbers to a fit."""
     for a, b in zip(one.bundle.segments, other.bundle.segments, strict=True):
@@ -227,15 +177,6 @@ def assert_same_data(one, other):
     for a, b in zip(one.starts, other.starts, strict=True):
         assert a[:3] == b[:3]
         np.testing.assert_array_equal(a.yields, b.yields)
-
-
-def test_the_order_of_the_joints_in_a_bag_does_not_matter():
-    """What enters the fit is the same to the last digit, and unlike for unlike joints."""
-    (take, robot), (turned, _) = two_joints(), two_joints(reverse=True)
-    one, other = (Data([each], (), robot) for each in (take, turned))
-    assert_same_data(one, other)
-    angle = one.bundle.segments[0].angle
-    assert not np.array_equal(angle[:, 0], angle[:, 1])
 
 
 def test_the_friction_of_the_robot_file_has_no_say():

@@ -289,17 +289,6 @@ def test_the_real_launch_starts_the_same(name, fakes, start):
 
 
 @needs_launch
-def test_the_real_launch_hands_parameters_on(fakes):
-    found = really_started(fakes, 'demo', compensation='gms_paper', namespace='left')
-    words, files = found['controller_node']
-    assert 'compensation: gms_paper' in ''.join(files)
-    assert '__ns:=/left' in words
-    _, files = found['robot_state_publisher']
-    assert '<robot/>' in ''.join(files)
-    assert 'backend: bridge' not in ''.join(found['plant_node'][1])
-
-
-@needs_launch
 @pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
 def test_the_real_launch_runs_the_loop_in_a_namespace(fakes, tmp_path, monkeypatch):
     """Installed nodes track in lockstep until the plant's time is over, which ends all of them."""

@@ -72,46 +72,39 @@ def test_position_units(load, unit, factor):
     np.testing.assert_allclose(log.recording.q_link[:, 0], Q, rtol=1e-13, atol=1e-15)
 
 
-def test_counts_sign_offset_scale_and_gear(load):
-    # motor encoder of 4096 counts behind a gear of 50, mounted backwards, zero at 100 counts
-    log = load({'t': T, 'q': Q, 'm': 100 - Q * 50 / (2 * np.pi) * 4096, 'i': Q}, PLAIN + """
-    motor: m1
+DUTY, VOLTS = np.sin(T), 7.0 + 0.1 * np.cos(T)
+# columns beside the link angle, their lines in the map, the channel and what it has to become
+CHANNELS = {
+    'encoder of 4096 counts behind a gear of 50, mounted backwards, zero at 100 counts': (
+        {'m': 100 - Q * 50 / (2 * np.pi) * 4096}, """motor: m1
     motor_position: {column: m, unit: counts, counts_per_rev: 4096, offset: -100, sign: -1,
-                     gear_ratio: 50}
-    torque: {column: i, unit: A, torque_constant: 0.12, scale: 0.5, gear_ratio: 50}
-""")
-    np.testing.assert_allclose(log.recording.q_motor[:, 0], Q, atol=1e-12)
-    np.testing.assert_allclose(log.recording.tau_motor[:, 0], Q * 0.12 * 0.5 * 50, atol=1e-12)
-    assert log.motors == ('m1',) and log.suspicions == ()
-
-
-def test_velocity_units_and_time_in_milliseconds(load):
-    log = load({'t': T * 1e3, 'q': Q, 'v': DQ * 30 / np.pi}, """
-time: {column: t, unit: ms}
-joints: {j1: {link_position: {column: q, unit: rad}, link_velocity: {column: v, unit: rpm}}}
-""")
-    np.testing.assert_allclose(log.recording.dq_link[:, 0], DQ, atol=1e-12)
-    assert log.recording.period == pytest.approx(4e-3) and log.suspicions == ()
-
-
-def test_pwm_becomes_the_torque_of_a_dc_motor(load):
-    duty, volts = np.sin(T), 7.0 + 0.1 * np.cos(T)
-    log = load({'t': T, 'q': Q, 'v': DQ, 'pwm': 885 * duty, 'u': volts, 'on': T < 2}, PLAIN + """
-    link_velocity: {column: v, unit: rad/s}
+                     gear_ratio: 50}""", 'q_motor', Q),
+    'current of a motor behind a gear': (
+        {'i': Q}, """torque: {column: i, unit: A, torque_constant: 0.12, scale: 0.5,
+             gear_ratio: 50}""", 'tau_motor', Q * 0.12 * 0.5 * 50),
+    'revolutions per minute': (
+        {'v': DQ * 30 / np.pi}, 'link_velocity: {column: v, unit: rpm}', 'dq_link', DQ),
+    'pwm of a DC motor': (
+        {'v': DQ, 'pwm': 885 * DUTY, 'u': VOLTS, 'on': T < 2},
+        """link_velocity: {column: v, unit: rad/s}
     torque: {column: pwm, unit: pwm, full_scale: 885, voltage: u, torque_per_volt: 0.1,
-             back_emf: 0.3, enabled: on}
-""")
-    expected = np.where(T < 2, 0.1 * (duty * volts - 0.3 * DQ), 0.0)
-    np.testing.assert_allclose(log.recording.tau_motor[:, 0], expected, atol=1e-12)
-
-
-def test_back_emf_behind_a_gear_counts_twice(load):
-    log = load({'t': T, 'q': Q, 'v': DQ, 'pwm': 0 * T}, PLAIN + """
-    link_velocity: {column: v, unit: rad/s}
+             back_emf: 0.3, enabled: on}""", 'tau_motor',
+        np.where(T < 2, 0.1 * (DUTY * VOLTS - 0.3 * DQ), 0.0)),
+    'back emf behind a gear counts twice': (
+        {'v': DQ, 'pwm': 0 * T}, """link_velocity: {column: v, unit: rad/s}
     torque: {column: pwm, unit: pwm, full_scale: 1, voltage: 12.0, torque_per_volt: 0.1,
-             back_emf: 0.3, gear_ratio: 10}
-""")
-    np.testing.assert_allclose(log.recording.tau_motor[:, 0], -0.1 * 0.3 * 100 * DQ, atol=1e-9)
+             back_emf: 0.3, gear_ratio: 10}""", 'tau_motor', -0.1 * 0.3 * 100 * DQ)}
+
+
+@pytest.mark.parametrize('name', CHANNELS)
+def test_a_channel_becomes_si_at_the_joint(load, name):
+    columns, lines, channel, expected = CHANNELS[name]
+    log = load({'t': T * 1e3, 'q': Q, **columns}, f'{PLAIN}    {lines}\n'.replace(
+        'unit: s}', 'unit: ms}'))
+    np.testing.assert_allclose(getattr(log.recording, channel)[:, 0], expected, atol=1e-12)
+    assert log.recording.period == pytest.approx(4e-3)
+    assert log.suspicions == () or 'back emf' in name  # it brakes: as torque with a wrong sign
+    assert log.motors == ('m1' if 'motor: m1' in lines else '',)
 
 
 def test_a_german_spreadsheet(load):
@@ -300,22 +293,6 @@ joints:
     assert log.suspicions == () and 'x: linear axis' in log.remarks[0]
 
 
-def test_a_ball_screw_seen_from_its_motor(load):
-    per_metre = 2 * np.pi / 0.02
-    current = friction(SPEED, 120, 400) / per_metre
-    log = load({'t': LONG, 'm': SWING * per_metre, 'i': current}, f"""
-time: {{column: t, unit: s}}
-joints:
-  x:
-    link_position: {{column: m, unit: rad, gear_ratio: {per_metre}}}
-    torque: {{column: i, unit: A, torque_constant: 1.0, gear_ratio: {per_metre}}}
-""")
-    np.testing.assert_allclose(log.recording.q_link[:, 0], SWING, atol=1e-12)
-    np.testing.assert_allclose(log.recording.tau_motor[:, 0], friction(SPEED, 120, 400),
-                               rtol=1e-12)
-    assert log.suspicions == ()
-
-
 @pytest.mark.parametrize(('position', 'torque', 'way_out'), [
     ('mm', 'N m', 'gear_ratio: 2 pi over the lead'), ('rad', 'N', 'scale: the lever arm')])
 def test_an_angle_beside_a_force_is_called_so(load, position, torque, way_out):
@@ -412,16 +389,10 @@ REAL = [('kr300/rec_A.csv', 'import_kr300.yaml'), ('kr300/rec_B.csv', 'import_kr
     for motion in ('lift_and_drop', 'sin_sin', 'sin_time_square', 'up_and_down')]
 
 
-def real(name):
-    """Return a recording that is not part of the project, or skip."""
-    if not (DATA / name).is_file():
-        pytest.skip(f'{DATA / name} is not on this machine')
-    return DATA / name, np.genfromtxt(DATA / name, delimiter=',', names=True)
-
-
 @pytest.mark.parametrize(('name', 'import_map'), REAL)
 def test_real_recordings_are_suspicious_only_with_their_torque_reversed(name, import_map):
-    path, _ = real(name)
+    if not (path := DATA / name).is_file():
+        pytest.skip(f'{path} is not on this machine')
     right = load_map(ROOT / 'config' / import_map)
     log = import_csv(path, right)
     assert log.suspicions == (), log.summary()
@@ -432,29 +403,3 @@ def test_real_recordings_are_suspicious_only_with_their_torque_reversed(name, im
     # lifted once and held: weight and friction are not separable without the robot
     told = () if 'up_and_down' in name else right.joints
     assert found == [('sign', f'{joint.name}.torque') for joint in told]
-
-
-def test_kr300_has_both_sides_in_radians_and_torque_at_the_joint():
-    path, data = real('kr300/rec_A.csv')
-    log = import_csv(path, ROOT / 'config' / 'import_kr300.yaml')
-    recording = log.recording
-    assert recording.joints == ('axis1', 'axis2', 'axis3')
-    assert log.motors == ('axis1_motor', 'axis2_motor', 'axis3_motor')
-    for i, gear in enumerate((256.9, 267.4, 252.3)):
-        np.testing.assert_allclose(recording.q_link[:, i],
-                                   np.deg2rad(data[f'q_link{i + 1}_deg']), rtol=1e-13)
-        np.testing.assert_allclose(recording.q_motor[:, i],
-                                   np.deg2rad(data[f'q_motor{i + 1}_deg']), rtol=1e-13)
-        np.testing.assert_allclose(recording.tau_motor[:, i],
-                                   gear * data[f'tau_motor{i + 1}_nm'], rtol=1e-13)
-    np.testing.assert_allclose(recording.time, data['t_s'], atol=1e-12)
-    assert np.isnan(recording.dq_link).all()
-
-
-def test_xl330_keeps_its_uneven_stamps():
-    path, data = real('bam_xl330/sin_sin_kp400.csv')
-    recording = import_csv(path, ROOT / 'config' / 'import_bam_xl330.yaml').recording
-    np.testing.assert_array_equal(recording.time, data['t_s'])
-    np.testing.assert_array_equal(recording.dq_link[:, 0], data['speed_rad_s'])
-    expected = 0.104 * (data['pwm_of_885'] / 885 * data['volts'] - 0.354 * data['speed_rad_s'])
-    np.testing.assert_allclose(recording.tau_motor[:, 0], expected, atol=1e-12)

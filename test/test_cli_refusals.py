@@ -1,0 +1,138 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Bad input of every verb of both tools: one sentence, exit code 2, and nothing is written."""
+
+from pathlib import Path
+import sys
+
+from bench import __main__ as bench
+from gms_flex_control.cli import main as tool
+import pytest
+
+pytestmark = pytest.mark.fast
+
+ROOT = Path(__file__).resolve().parents[1]
+OF_BENCH = tuple(verb for group in bench.GROUPS.values() for verb in group)
+BAGS = {'info': '', 'repair': '', 'analyse': '--out {dir}', 'torsion': '--joint a --stiffness 1',
+        **dict.fromkeys(('identify', 'discrepancy'), '--robot {robot} --out {dir}')}
+# what is wrong with the input of a verb that takes no bag
+WRONG = {
+    'demo': '--out {file}', 'demo-identify': '--plan {missing} --out {dir}',
+    'demo-discrepancy': '--effect nothing --out {dir}', 'demo-next': '--out {file}',
+    'simulate': '--robot {missing} --out {dir}', 'record': '--all --duration -1 --out {dir}',
+    'import-csv': '{missing} --map import_kr300.yaml --out {dir}',
+    'check-gains': '--robot {missing}', 'joints': '--most 0', 'speed': '--robot {missing}',
+    'recover': '--seeds 0', 'hide': '--seeds x --out {dir}',
+    'score': '--kind single --seeds x --out {dir}', 'faults': '--only nonsense',
+    'coverage': '--seeds x --out {dir}', 'real-machines': 'nonsense --out {dir}',
+    'learn': '--machines nonsense --out {dir}',
+    'next': '{missing} --robot {missing} --limits {missing} --out {dir}',
+    'plan': '--robot {missing} --out {dir}',
+    'real-arm': '--data {missing}', 'hidden-arms': '--seeds many',
+    'base-parameters': '--seeds many', 'growth': '--joints 0',
+    'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}', 'compare': '{missing}',
+    'view': '{missing}', 'effects': 'backlsh', 'export': '--to mujoco --robot {missing}'}
+# further options that cannot be meant, and what is said of them
+OPTIONS = [
+    ('view live --namespace a.b', "--namespace: '/a.b/plant' is no full name of a node"),
+    ('view live --controller arm', "--controller: 'arm' is no full name of a node"),
+    ('view live bag', 'only bags are drawn over each other'),
+    ('urdf --limits {robot}', 'no limits.<joint> is in it'),
+    ('urdf --out {file}/arm.urdf', '{file}/arm.urdf: {file} is a file; name a folder'),
+    ('urdf --out /proc/foo', '/proc/foo: cannot be written (No such file or directory)'),
+    ('info {empty}', '{empty}: is empty (0 bytes)'),
+    ('next {folder} --robot {robot} --limits {bridge} --out x', 'name a folder that gms_flex'),
+    ('demo --out {dir} --duration -1', '--duration'),
+    *((f'simulate --out {{dir}} {words}', sentence) for words, sentence in (
+        ('--duration 0', '--duration must be'), ('--duration nan', '--duration must be'),
+        ('--duration inf', '--duration must be'),
+        ('--duration 0.1 --out {file}/x', '{file}/x: cannot be written ({file} is a file; name a'),
+        ('--duration 0.1 --out {folder}', 'exists already'),
+        ('--set gains.joint1.kd_lnk=1', 'gains.joint1.kd_lnk is not a known parameter; did you '
+         "mean 'gains.joint1.kd_link'?"),
+        ('--set gains.joint1.kd_link', 'must have the form NAME=VALUE'),
+        ('--set gains.joint1.kd_link=[1', "'[1' is not a YAML value"),
+        ('--set gains.joint1.kd_link=-1', 'gains.joint1.kd_link must be'),
+        ('--set rate=fast', "rate must be a number [Hz], got 'fast'"),
+        ('--set rate=.nan', 'rate must be finite, got nan'),
+        ('--compensation gsm', "did you mean 'gms'?"),
+        ('--trajectory sinus', '--trajectory sinus: no such file'),
+        ('--trajectory absent.yaml', 'absent.yaml: cannot be read'),
+        ('--set trajectory.type=torque_ramp trajectory.joint1.torque=0.1',
+         'is an open-loop torque'),
+        ('--set trajectory.type=torque_ramp', 'trajectory.<joint>.torque'),
+        ('--set arm.joint1.stiffness=1e7', 'the simulation diverged at'),
+        ('--robot absent.yaml', 'absent.yaml: cannot be read'),
+        ('--robot {folder}', 'cannot be read'))),
+    *((f'compare --out {{dir}} {words}', sentence) for words, sentence in (
+        ('--fit 2', '--fit 2'), ('--draws -1', '--draws -1'), ('--rate 0', '--rate 0'),
+        ('nowhere', 'nowhere'), ('nowhere.yaml', 'nowhere.yaml'),
+        ('--draws 0 --workers 0 --out {missing}', '--workers 0'),
+        ('bag --rate 100', '--rate 100: applies to a plant'),
+        ('bag --draws 50', '--draws 50: applies to a plant'),
+        ('bag --seed 0', '--seed 0: applies to a plant'),
+        ('--fit 0.4', '--fit 0.4: applies to a bag'),
+        ('a.yaml --robot b.yaml', '--robot b.yaml: the plant is a.yaml already'),
+        ('one two', 'two: give one bag at a time'), ('bag a.yaml', 'robot files behind --robot'),
+        ('--out /proc/cmp', '--out /proc/cmp: /proc cannot be written'))),
+    *((f'tune --out {{dir}} {words}', sentence) for words, sentence in (
+        ('--rate 0', '--rate 0'), ('--damping 0.5', 'at least 1'),
+        ('--torque-limit 1 2 3', 'each of the 2 joints'),
+        ('--robot {robot}', '--torque-limit is required'),
+        ('--intervals nowhere.json', 'give --verify N as well'),
+        ('--verify 1 --intervals nowhere.json', 'cannot be read'),
+        ('--out {robot}/tuned', 'is a file; name a folder'),
+        ('--out /proc/tuned', '/proc cannot be written'))),
+    *((f'score --out {{dir}} {words}', sentence) for words, sentence in (
+        ('--kind singel', "did you mean 'single'?"), ('--set huge', 'known: full, quick'),
+        ('--share 0', 'more than 0, at most 1'),
+        ('--share nan', 'more than 0, at most 1'), ('--kind single --plant x', 'soft, stiff'),
+        ('--kind clean --duration nan', '--duration nan: give 2 to 3600 s'))),
+    ('hide --out {dir} --kind clean --duration=-3', '--duration -3: give 2 to 3600 s'),
+    ('hide --out {dir} --seeds 3:3', 'must be a number or A:B'),
+    ('faults --soak nan', '--soak'), ('faults --only silense', "did you mean 'silence'"),
+    ('faults --priority 100', '--priority 100: expected 1 to 99')]
+
+
+def told_of(words, folder, capsys):
+    """Run words in which {places} stand; return what is said, that it is all there is checked."""
+    places = {'missing': folder / 'missing', 'dir': folder / 'out', 'file': folder / 'file',
+              'folder': folder / 'folder', 'empty': folder / 'empty.mcap',
+              'robot': ROOT / 'config' / 'robot.yaml', 'bridge': ROOT / 'config' / 'bridge.yaml'}
+    places['file'].write_text('mine')
+    places['empty'].touch()
+    places['folder'].mkdir()
+    verb, *words = words.format(**places).split()
+    its_tool, start = (tool, 'gms_flex') if verb in tool.VERBS else (bench, bench.PROG)
+    assert its_tool.main([verb, *words]) == tool.BAD_INPUT
+    printed, told = capsys.readouterr()
+    assert printed == '' and told.startswith(f'{start} {verb}: ')
+    assert told.count('\n') == 1 and 'Errno' not in told
+    assert not places['dir'].exists() and list(places['folder'].iterdir()) == []
+    return told, places
+
+
+def test_every_verb_is_tested():
+    assert {*tool.VERBS, *OF_BENCH} == {*WRONG, *BAGS, 'completion'}
+
+
+@pytest.mark.parametrize('verb', [*BAGS, *WRONG])
+def test_bad_input_of_a_verb_is_said_in_one_sentence(verb, tmp_path, capsys):
+    words = WRONG[verb] if verb in WRONG else f'{{missing}} {BAGS[verb]}'
+    told_of(f'{verb} {words}', tmp_path, capsys)
+
+
+@pytest.mark.parametrize(('words', 'sentence'), OPTIONS)
+def test_what_is_wrong_with_an_option_is_said(words, sentence, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told, places = told_of(words, tmp_path, capsys)
+    assert sentence.format(**places) in told
+
+
+@pytest.mark.parametrize('words', [
+    'record --all --out {dir}', 'view live', 'faults --list', 'demo --out {dir}',
+    'demo-identify --out {dir}', 'demo-discrepancy --out {dir}', 'demo-next --out {dir}'])
+def test_without_ros_the_extra_is_named(words, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'rclpy', None)  # importing it then fails
+    assert "'.[ros]'" in told_of(words, tmp_path, capsys)[0]
