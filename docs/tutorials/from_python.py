@@ -9,7 +9,7 @@
 
 # %%
 import gms_flex_control as gms
-from gms_flex_control.resources import share_path
+from gms_flex_control.file_io import share_path
 
 robot = gms.load_robot(share_path() / 'config' / 'robot.yaml')
 bag = share_path() / 'examples' / 'arm_with_play'
