@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 from discrepancy_runs import as_believed, driven_motion
 from gms_flex_control.discrepancy.describe import (
+    _verdict,
     evidence_of,
     first_of,
     of_noise,
@@ -58,6 +59,18 @@ def test_what_matters_and_is_not_in_the_model_is_said(written, expected):
     assert expected in said and bool(expected) == bool(said)
     assert [f'backlash of {joint}' in said for joint in 'jkl'] == [
         joint not in written for joint in 'jkl']
+
+
+def test_what_matters_is_said_to_be_lacking_however_much_there_is():
+    """Only what is small is said to be small."""
+    found = [SimpleNamespace(effect='backlash', joint=joint, key=('backlash', joint), values=(),
+                             confusable_with=()) for joint in 'abcdefgh']
+    robot = SimpleNamespace(effects=[EffectSpec(name='backlash', joint=one.joint, values=(0.01,))
+                                     for one in found])
+    said = [text for text, _ in _verdict(Discrepancy(
+        verdict=FOUND, robot=robot, findings=tuple(found[:7]), minor=tuple(found[7:])))]
+    assert said[1:] == ['The model also lacks backlash of f, backlash of g.',
+                        'Too small to matter in practice: backlash of h.']
 
 
 @pytest.mark.parametrize(('variable', 'joint', 'expected'), [

@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 import json
+from types import SimpleNamespace
 
 from bench.hidden_robots import outsiders
 from bench.hidden_robots.cases import make_case
@@ -208,6 +209,8 @@ def test_a_clean_robot_gets_no_term_even_if_asked_for():
     case = make_case('clean', 1, duration=20.0)
     found = find_discrepancy([case.recording], case.nominal)
     assert learn(found) is found
+    named = SimpleNamespace(effect='backlash', joint='joint1', key=('backlash', 'joint1'))
+    assert 'Nothing was learned' in learn(replace(found, findings=(named,))).words
     asked = replace(found, unexplained=Signature(0.5, 'link', 'joint1', '', 'made up.'))
     result = learn(asked)
     assert result.learned == () and result.robot is found.robot

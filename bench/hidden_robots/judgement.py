@@ -16,7 +16,8 @@ BELIEFS = {
     'link_inertia_error': ('link_inertia', 'coupling'),
     'tip_payload': ('link_inertia', 'coupling'), 'coulomb_error': ('level',),
     'viscous_error': ('viscous',), 'stribeck_error': ('static', 'velocity'),
-    'presliding_error': ('blocks',), 'friction_asymmetry': ('asymmetry',)}
+    'presliding_error': ('blocks',), 'friction_asymmetry': ('asymmetry',),
+    'viscous_asymmetry': ('viscous_asymmetry',)}
 # effects whose torques are functions of the same things: one stands in for another that is not
 # in the catalogue
 RELATIVES = (

@@ -163,7 +163,7 @@ def belief_errors(robot, believed):
     dict of str to ndarray, shape (n_joints,)
         Relative, truth / belief - 1, as effects of the catalogue state it. ``link_inertia`` is
         that of a link about its joint with the mass it carries, ``coupling`` that of both links
-        together; friction is the mean of both directions, and ``asymmetry`` half their
+        together; friction is the mean of both directions, and an ``asymmetry`` half their
         difference.
 
     """
@@ -184,5 +184,6 @@ def belief_errors(robot, believed):
         'level': both('coulomb').mean(axis=0), 'static': both('static').mean(axis=0),
         'asymmetry': 0.5 * (both('coulomb')[0] - both('coulomb')[1]),
         'viscous': both('viscous').mean(axis=0), 'velocity': both('velocity').mean(axis=0),
+        'viscous_asymmetry': 0.5 * (both('viscous')[0] - both('viscous')[1]),
         'blocks': (steady.stiffness / thought.stiffness - 1.0).mean(axis=1),
         'attraction': steady.attraction / thought.attraction - 1.0}

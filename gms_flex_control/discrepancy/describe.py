@@ -160,9 +160,11 @@ def _verdict(result):
                    f'{" or ".join(one.confusable_with)}; discriminating experiment: '
                    f'{one.discriminated_by}.'), True
     added = {(spec.name, spec.joint) for spec in result.robot.effects}
-    beside = [*result.added[_IN_FULL:], *(one for one in result.minor if one.key in added)]
-    if beside:
-        yield f'Too small to matter in practice: {_briefly(beside)}.', True
+    for what, few in (('The model also lacks', result.added[_IN_FULL:]),
+                      ('Too small to matter in practice:',
+                       [one for one in result.minor if one.key in added])):
+        if few:
+            yield f'{what} {_briefly(few)}.', True
     without = [one for one in result.minor if one.key not in added]
     if without:
         yield ('The recordings also support these, but the model predicts better without them: '

@@ -26,7 +26,12 @@ from gms_flex_control.discrepancy.fitting import (
     values_of,
 )
 from gms_flex_control.discrepancy.gap import HeldOut
-from gms_flex_control.discrepancy.learned_words import described, words_of, words_of_drift
+from gms_flex_control.discrepancy.learned_words import (
+    described,
+    words_of,
+    words_of_drift,
+    words_of_named,
+)
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
@@ -83,13 +88,13 @@ def learn(result, *, holdout=(), say=lambda text: None) -> Discrepancy:
     Returns
     -------
     Discrepancy
-        The same where nothing is unexplained, or no term predicts held-out data better. Else with
+        The same where nothing lacks a name, or no term predicts held-out data better. Else with
         ``learned`` terms in ``robot``, in the place of effects that only resemble what is missing
         where that predicts better.
 
     """
     if result.unexplained is None or result.behind is None:
-        return result
+        return result.saying(words_of_named(result.not_added)) if result.not_added else result
     with blas.in_one_thread(), np.errstate(all='ignore'):
         return _learned(result, holdout, say)
 
