@@ -128,6 +128,18 @@ def test_the_same_robot_costs_the_same_however_it_is_said(robot, gains, name, nu
     assert misfits[1] == pytest.approx(misfits[0], abs=0.1 * noise)
 
 
+def test_noise_is_foreseen_of_a_robot_without_what_null_simulations_have(robot, gains):
+    """A ratio of a ratio is no sum: an effect that is there is moved, not put in twice."""
+    coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
+    spec = EffectSpec(name='link_inertia_error', joint=robot.joints[0], values=(0.4,))
+    likelihood = Likelihood([driven_motion(coarse, gains)], robot)
+    x = np.zeros(len(likelihood.nuisances))
+    heavy = likelihood.simulated_as(likelihood.fitted(with_effect(robot, spec), x))
+    heavy.encoder_noise.learn(heavy, replace(spec, values=(0.1,)), [(0, (0.1,))])
+    foreseen, exact = heavy.encoder_noise.along(robot, x), np.subtract(*heavy.of_pair(robot, x))
+    assert np.std(foreseen - exact) < 0.01 * np.std(exact - heavy.encoder_noise.own)
+
+
 def test_what_sticks_is_measured_by_the_noise_of_what_sticks():
     """A motor that holds by dry friction creeps unseen: the true model misses torque there."""
     case = make_case('single', 45, duration=20.0)

@@ -21,7 +21,6 @@ from typing import NamedTuple
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.discrepancy.motion import encoder_step, make_motion, Motion
-from gms_flex_control.discrepancy.nuisance import OF_SHAPE
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.whitening import Grams
 from gms_flex_control.dynamics.chain import own_inertia
@@ -144,12 +143,10 @@ class EncoderNoise:
         Of the null simulations.
     by_step : sequence of pair of ndarray, shape (R,)
         Of both with each nuisance parameter `NUISANCE_STEP` off; the last pair as simulated.
-    cautious : bool
-        Whether no derivative is known where it is mostly noise.
 
     """
 
-    def __init__(self, likelihood, robot, x, by_step, cautious=False):
+    def __init__(self, likelihood, robot, x, by_step):
         self._groups, self._known = likelihood.groups, likelihood.known
         self._robot, self._x = robot, x
         self._begun = by_step[-1]
@@ -159,8 +156,6 @@ class EncoderNoise:
         self._informative = np.empty((len(x), len(self.own_sums)), dtype=bool)
         for i, pair in enumerate(by_step[:-1]):
             self._by_nuisance[i], self._informative[i] = self._shown(pair, NUISANCE_STEP)
-        self._shapes = np.array([cautious or one.name in OF_SHAPE for one in likelihood.nuisances],
-                                dtype=bool)
         self.grams = Grams(self._groups, self.known(self._by_nuisance))
         self._by_effect = {}  # (effect, joint): as `_shown`, a row for each parameter
 
@@ -192,11 +187,17 @@ class EncoderNoise:
         """
         shown = np.zeros((len(spec.values), len(self.own)))
         informative = np.ones((len(spec.values), len(self.own_sums)), dtype=bool)
+        there = [(one.name, one.joint) for one in self._robot.effects[self._known:]]
         for k, values in linear:
-            changed = replace(self._robot, effects=(*self._robot.effects,
-                                                    replace(spec, values=values)))
-            shown[k], informative[k] = self._shown(likelihood.of_pair(changed, self._x),
-                                                   values[k])
+            effects = list(self._robot.effects)
+            if (spec.name, spec.joint) in there:  # a second one would act on what the first made
+                i = self._known + there.index((spec.name, spec.joint))
+                own = effects[i].values
+                effects[i] = replace(spec, values=(*own[:k], own[k] + values[k], *own[k + 1:]))
+            else:
+                effects.append(replace(spec, values=values))
+            shown[k], informative[k] = self._shown(likelihood.of_pair(
+                replace(self._robot, effects=tuple(effects)), self._x), values[k])
         self._by_effect[spec.name, spec.joint] = shown, informative
 
     def of_effect(self, spec) -> np.ndarray:
@@ -216,13 +217,14 @@ class EncoderNoise:
 
     def known(self, columns) -> np.ndarray:
         """
-        Return columns (C, R), 0 in residuals of mostly noise that is known to first order only.
+        Return columns (C, R), those by nuisance parameters 0 in residuals of mostly noise.
 
-        That is where residuals are not linear in a nuisance parameter.
+        As those by the inertia of a joint that stands: the noise of two null simulations is no
+        guide.
         """
         known = columns.copy()
-        for i in np.flatnonzero(self._shapes):
-            known[i] *= self._informative[i][self._groups.group]
+        for row, informative in zip(known, self._informative, strict=False):
+            row *= informative[self._groups.group]
         return known
 
     def columns(self, robot, numbers) -> np.ndarray:
