@@ -30,11 +30,11 @@ import pytest
 HEIGHT, PLACE, WIDTH = 0.05, 0.1, 0.08  # of the hidden bump [N m, rad, rad]
 KNOTS = learned.KNOTS
 # (lowest, highest, ...) of each kind: a range of the variable within the cycles below
-RANGES = {'learned_position': (-0.5, 0.7, 1.0), 'learned_torsion': (-0.5, 0.7, 0.0),
-          'learned_rate_friction': (0.0, 5.0, 1.0, 0.02),
-          'learned_position_friction': (-0.5, 0.7, 2.0, 0.01),
-          'learned_position_drag': (-0.5, 0.7, 0.0, 0.02),
-          'learned_load_friction': (0.0, 2.0, 1.0, 0.02),
+RANGES = {'learned_position': (-0.5, 0.7, 1.0, 24.0), 'learned_torsion': (-0.5, 0.7, 0.0, 6.0),
+          'learned_rate_friction': (0.0, 5.0, 1.0, 24.0, 0.02),
+          'learned_position_friction': (-0.5, 0.7, 2.0, 24.0, 0.01),
+          'learned_position_drag': (-0.5, 0.7, 0.0, 3.0, 0.02),
+          'learned_load_friction': (0.0, 2.0, 1.0, 24.0, 0.02),
           'learned_hysteresis': (0.002, 0.5), 'learned_resonance': (2.0, 16.0, 0.05)}
 SIGNALS = {Stage.LINK: sig.LINK_TORQUE, Stage.SPRING: sig.SPRING, Stage.FRICTION: sig.FRICTION}
 
@@ -111,13 +111,15 @@ def test_a_negative_weight_is_refused_where_it_could_give_energy(name):
 def test_a_curve_is_zero_or_flat_beyond_its_range_or_repeats():
     rng, weights = np.random.default_rng(1), np.random.default_rng(1).normal(size=KNOTS)
     x = np.sort(rng.uniform(-3.0, 3.0, 300))
-    inner, outer = np.linspace(-1.0, 1.0, KNOTS + 2), np.linspace(-1.0, 1.0, KNOTS)
-    for ends, expected in (
-            (0.0, np.interp(x, inner, [0.0, *weights, 0.0])), (1.0, np.interp(x, outer, weights)),
-            (2.0, np.interp(x, np.linspace(-1.0, 1.0, KNOTS, endpoint=False), weights,
-                            period=2.0))):
-        p = np.array([*weights, -1.0, 1.0, ends])
-        assert np.allclose([learned.curve(at, p) for at in x], expected, atol=1e-12)
+    for knots in (KNOTS, 3):
+        inner, outer, y = (np.linspace(-1.0, 1.0, knots + 2), np.linspace(-1.0, 1.0, knots),
+                           weights[:knots])
+        for ends, expected in (
+                (0.0, np.interp(x, inner, [0.0, *y, 0.0])), (1.0, np.interp(x, outer, y)),
+                (2.0, np.interp(x, np.linspace(-1.0, 1.0, knots, endpoint=False), y,
+                                period=2.0))):
+            p = np.array([*weights, -1.0, 1.0, ends, knots])
+            assert np.allclose([learned.curve(at, p) for at in x], expected, atol=1e-12)
 
 
 def test_terms_come_back_from_a_robot_file_as_they_were(robot, tmp_path):
@@ -221,11 +223,15 @@ def test_the_bench_prints_its_figures_and_counts_what_was_made_worse():
     hidden = {'kind': 'outside', 'seed': 0, 'verdict': 'unexplained', 'seconds': 9.0}
     term = ['learned_position', 'joint1', 'a bump']
     text = '\n'.join(text_of([
-        {**hidden, 'name': 'local_bump', 'energy': 0.1, 'free': 0.4, 'terms': [term]},
-        {**hidden, 'name': 'speed_band', 'energy': 0.5, 'free': 1.2, 'terms': []},
+        {**hidden, 'name': 'local_bump', 'energy': 0.1, 'free': 0.4, 'worse': False,
+         'terms': [term]},
+        {**hidden, 'name': 'speed_band', 'energy': 0.5, 'free': 1.2, 'worse': True,
+         'terms': []},
         {'kind': 'clean', 'terms': []}, {'kind': 'clean', 'terms': [term]},
         {'kind': 'real', 'name': 'emps', 'verdict': 'unexplained', 'unit': 'N', 'factor': 1.0,
          'length': ['mm', 1e3], 'terms': [term],
-         'models': {'learned term': [1.5, 4e-4, 0.0, 30.0]}}]))
-    assert 'Functions of state: 1 of 2 learned' in text and 'Made worse: 1 of 2.' in text
+         'models': {'learned term': [1.5, 4e-4, 0.0, 1.2, 30.0],
+                    'neural network': [1.5, 4e-4, 0.0, np.inf, 1.0]}}]))
+    assert 'Functions of state: 1 of 2 learned' in text and 'Made worse by a term: 1 of 2.' in text
     assert 'Clean robots with a term: 1 of 2.' in text and '0.4 ' in text
+    assert 'runs away' in text

@@ -163,5 +163,5 @@ def test_a_load_needs_an_arm_of_a_urdf(tmp_path):
         tmp_path, 'load: {mass: 2}\n'))
     with pytest.raises(IdentificationError, match='needs an arm of a URDF'):
         identify([recording], axis(rigid=True))
-    with pytest.raises(BagError, match='needs an arm of a URDF'):
+    with pytest.raises(BagError, match='decoupled axes do not share'):
         motion_of(recording, axis(rigid=True))

@@ -5,6 +5,7 @@
 
 import json
 from pathlib import Path
+import sys
 from typing import NamedTuple
 
 from gms_flex_control import blas
@@ -12,6 +13,7 @@ from gms_flex_control.answer import Answer, command, Number
 from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
 from gms_flex_control.data.conditions import conditions_of, OF_ROBOT, repeat_conditions
+from gms_flex_control.design.determination import missing_of, plan_determination
 from gms_flex_control.design.excitation import Bounds, plan_excitation, sentence
 from gms_flex_control.design.plan import (
     clipped,
@@ -28,12 +30,15 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import simulate_to_bag
 from gms_flex_control.file_io import controller_file, write_text
 from gms_flex_control.hardware.limits import Limits
+from gms_flex_control.params.arm import together
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.reports.pictures import next_figure, separated_figure
 from gms_flex_control.schema.files import load_controller, load_limits, load_robot, save_values
 import numpy as np
+
+_DETERMINED = 20.0  # length of a motion that determines parameters, at most [s]
 
 
 class Task(NamedTuple):
@@ -53,16 +58,21 @@ class Task(NamedTuple):
 
 def next_recording(args) -> int:
     """Write the plan, or carry it out; return 0, or 1 if not all explanations are separated."""
-    task, out = _task(args), Path(args.out)
+    out, report = Path(args.out), _report(args.result)
     refuse_unwritable(out)
+    if 'joints' in report:
+        return _determine(report, args, out)
+    task = _task(report, args)
     with blas.in_one_thread(), np.errstate(all='ignore'):
         if args.with_ros or args.simulate:
             return _carry_out(task, args, out)
         say('explanations along the recordings so far')
         plan = plan_next(beliefs_of(task.recordings(), task.robot, task.sets), task.gains,
                          task.limits, period=task.period, odds=args.odds, longest=args.longest,
-                         say=say)
-    trajectory = write_files(plan, out)
+                         weight=args.weight, say=say)
+    trajectory, load = write_files(plan, out), plan.best.candidate.load
+    if load is not None:  # to be put into the folder of the new bag
+        repeat_conditions(task.bags[-1], out, OF_ROBOT, load)
     if args.json:
         print(json.dumps(_as_dict(plan), indent=1))
         return int(plan.probability < LIKELY)
@@ -77,17 +87,55 @@ def next_recording(args) -> int:
     return int(plan.probability < LIKELY)
 
 
-def _task(args):
-    """Return the Task of the arguments."""
+def _loaded(args):
+    """Return RobotParams, gains and Limits of the arguments."""
     robot = load_robot(args.robot)
-    gains = load_controller(args.controller or controller_file(), robot)
     limits = load_limits(args.limits, robot.joints)
     if limits is None or limits.missing():
         raise ConfigError(f'--limits {" ".join(args.limits)}: limits.{robot.joints[0]}.'
                           f'{limits.missing()[0] if limits else "torque"} is missing')
+    return robot, load_controller(args.controller or controller_file(), robot), limits
+
+
+def _determine(report, args, out):
+    """Write the motion that determines what ``identify`` left open; return 0."""
+    if args.with_ros or args.simulate or args.effects or args.weight:
+        raise ConfigError(f'{args.result} is of identify: --run, --simulate, --effects and '
+                          '--weight separate explanations of discrepancy')
+    robot, gains, limits = _loaded(args)
+    with blas.in_one_thread(), np.errstate(all='ignore'):
+        plan = plan_determination(
+            robot, [read_experiment_of(bag, robot)[0] for bag in report['sources']],
+            missing_of(report), gains, limits, period=1.0 / args.rate,
+            duration=min(args.longest, _DETERMINED), say=say)
+    trajectory, columns = write_plan(plan, out), ('so far', 'then', '')
+    values = {'sentence': plan.sentence(), 'missing': plan.missing, 'duration': plan.duration,
+              'sd_before': plan.before.sd.tolist(), 'compared': [
+                  {'motion': one.candidate.name, 'log_determinant': one.information,
+                   'sd': one.sd.tolist()} for one in plan.compared]}
+    write_text(out / 'plan.json', json.dumps(values, indent=1) + '\n')
+    if args.json:
+        print(json.dumps(values, indent=1))
+        return 0
+    numbers = tuple(Number(f'{name} [%]', *(f'{100.0 * sd:.2g}' for sd in pair), '')
+                    for name, *pair in zip(plan.missing, plan.before.sd, plan.best.sd,
+                                           strict=True))
+    conclude(Answer(plan.sentence(), columns, numbers[:3], command(
+        'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',
+        f'{plan.duration:.0f}', '--out', out / 'bag')),
+        {'motion': trajectory, 'numbers': out / 'plan.json'})
+    return 0
+
+
+def _task(report, args):
+    """Return the Task of the arguments."""
+    robot, gains, limits = _loaded(args)
     if args.with_ros and args.simulate:
         raise ConfigError('--run and --simulate exclude each other: a robot is real or simulated')
-    report = _report(args.result)
+    if args.weight and robot.arm.kind == 'decoupled':
+        raise ConfigError('--weight: decoupled axes have no tip to hang it at')
+    if args.weight and args.with_ros and not sys.stdin.isatty():
+        raise ConfigError('--weight with --run needs a person at a terminal, to hang it')
     sets = sets_of(args.effects, robot) if args.effects else surviving(report)
     if len(sets) < 2:
         raise ConfigError(f'{args.result} leaves one explanation, so there is nothing to '
@@ -106,7 +154,7 @@ def _carry_out(task, args, out):
         task, load_robot(args.simulate), out)
     found = separate(task.recordings(), task.robot, task.sets, task.gains, task.limits, drive,
                      period=task.period, odds=args.odds, budget=args.budget,
-                     longest=args.longest, say=say)
+                     longest=args.longest, weight=args.weight, say=say)
     report_separation(found, task, args.robot, out, args.json)
     return int(found.verdict != ONE_LEFT)
 
@@ -116,31 +164,32 @@ def _in_simulation(task, robot, out):
     if robot.joints != task.robot.joints:
         raise ConfigError(f'--simulate: joints {", ".join(robot.joints)} are not those of --robot '
                           f'({", ".join(task.robot.joints)})')
-
-    load = conditions_of(task.bags[-1]).load
-    if load is not None and robot.arm.frames is None:
-        raise ConfigError(f'--simulate: {task.bags[-1]} has a load, which needs an arm of a URDF')
+    bags = list(task.bags)
 
     def drive(plan, number):
         write_files(plan, out / str(number))
-        bag = out / str(number) / 'bag'
+        bag, motion = out / str(number) / 'bag', plan.best.candidate
         simulate_to_bag(closed_loop_plan(
-            loaded(robot, load), task.robot, plan.best.candidate, plan.best.duration, task.gains,
-            period=task.period, seed=number), bag)
-        repeat_conditions(task.bags[-1], bag, OF_ROBOT)
+            loaded(robot, together(conditions_of(bags[-1]).load, motion.load)), task.robot,
+            motion, plan.best.duration, task.gains, period=task.period, seed=number), bag)
+        repeat_conditions(bags[-1], bag, OF_ROBOT, motion.load)
+        bags.append(bag)
         return read_experiment_of(bag, task.robot)[0]
     return drive
 
 
 def _by_ros(task, out):
     """Return what drives the robot of the running nodes, loaded as in the last recording."""
-    runner = import_ros('gms_flex_control.nodes.motion_runner')
+    runner, bags = import_ros('gms_flex_control.nodes.motion_runner'), list(task.bags)
 
     def drive(plan, number):
         write_files(plan, out / str(number))
-        bag = out / str(number) / 'bag'
-        runner.drive_motion(plan.best.candidate.parameters, plan.best.duration, bag, say=say)
-        repeat_conditions(task.bags[-1], bag)
+        bag, motion = out / str(number) / 'bag', plan.best.candidate
+        if motion.load is not None:
+            input(f'Hang {motion.load.mass:g} kg at the tip, then press Enter: ')
+        runner.drive_motion(motion.parameters, plan.best.duration, bag, say=say)
+        repeat_conditions(bags[-1], bag, load=motion.load)
+        bags.append(bag)
         return read_experiment_of(bag, task.robot)[0]
     return drive
 
@@ -192,12 +241,15 @@ def _report(folder):
     path = Path(folder) / 'report.json'
     try:
         report = json.loads(path.read_text(encoding='utf-8'))
-        sources = [report[name] for name in ('sources', 'credible', 'findings', 'minor')][0]
+        keys = ('sources', 'joints') if report.get('method') else (
+            'sources', 'credible', 'findings', 'minor')
+        sources = [report[name] for name in keys][0]
     except OSError as error:
         raise ConfigError(f'{path}: cannot be read ({error.strerror}); name a folder that '
-                          'gms_flex discrepancy wrote') from error
-    except (ValueError, KeyError) as error:
-        raise ConfigError(f'{path}: no result of gms_flex discrepancy ({error})') from error
+                          'gms_flex discrepancy or identify wrote') from error
+    except (ValueError, KeyError, AttributeError) as error:
+        raise ConfigError(f'{path}: no result of gms_flex discrepancy or identify ({error})'
+                          ) from error
     missing = [bag for bag in sources if not Path(bag).exists()]
     if missing:
         raise ConfigError(f'{path}: the bag {missing[0]} is not there; run next in the folder '
@@ -230,6 +282,7 @@ def sets_of(texts, robot) -> list:
 def _as_dict(plan):
     def of(one):
         return {'motion': one.candidate.name, 'duration': one.duration,
+                'minutes_by_hand': one.candidate.minutes,
                 'log_odds': one.odds.round(3).tolist()}
     return {'sentence': plan.sentence(), 'wanted': plan.wanted,
             'explanations': [one.words for one in plan.beliefs.hypotheses],

@@ -271,6 +271,8 @@ _NEXT = Verb(
         option('--odds', type=float, default=99.0, least=1.5, most=1e9,
                help='wanted between every pair (default: %(default)g)'),
         number('--longest', 'S', 60.0, 'motion', least=8.0, most=3600.0),
+        option('--weight', type=float, default=0.0, least=0.0, most=1e4, metavar='KG',
+               help='that you can hang at the tip, where no motion alone separates them'),
         out_folder('folder for the plan'), JSON),
     ('next gap --robot robot.yaml --limits bridge.yaml --out plan',
      'next gap --robot robot.yaml --limits bridge.yaml --run --budget 60 --out rounds',

@@ -22,7 +22,7 @@ from pathlib import Path
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.file_io import read_yaml, write_text
-from gms_flex_control.params.arm import Body, require_body
+from gms_flex_control.params.arm import Body, require_body, together
 import numpy as np
 from ruamel.yaml.error import YAMLError
 
@@ -70,12 +70,20 @@ def conditions_of(bag) -> Conditions:
         raise ConfigError(f'{file}: {error}') from error
 
 
-def repeat_conditions(bag, new, keys: Sequence[str] = _KEYS) -> None:
-    """State in the folder of a new bag what is known of another, or some ``keys`` of it."""
-    if _file_of(bag).is_file():
-        values = read_yaml(_file_of(bag), 'safe') or {}
-        write_text(_file_of(new), json.dumps(  # which is YAML
-            {key: value for key, value in values.items() if key in keys}, default=str) + '\n')
+def repeat_conditions(bag, new, keys: Sequence[str] = _KEYS, load: Body | None = None) -> None:
+    """
+    State in the folder of a new bag what is known of another, or some ``keys`` of it.
+
+    A ``load`` is carried beside that of the other.
+    """
+    known = (read_yaml(_file_of(bag), 'safe') or {}) if _file_of(bag).is_file() else {}
+    values = {key: value for key, value in known.items() if key in keys}
+    if load is not None:
+        whole = together(conditions_of(bag).load, load)
+        values['load'] = {'mass': float(whole.mass), 'com': whole.com.tolist()} | (
+            {'inertia': whole.inertia[np.triu_indices(3)].tolist()} if whole.inertia.any() else {})
+    if values:
+        write_text(_file_of(new), json.dumps(values, default=str) + '\n')  # which is YAML
 
 
 def _file_of(bag):

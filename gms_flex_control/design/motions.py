@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware.limits import Limits
+from gms_flex_control.params.arm import Body
+from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema.keys import trajectory_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory.polynomials import Trajectory
@@ -24,6 +26,8 @@ _CREEPING = 0.02       # of the range: swings within presliding and play
 _HOLD = 0.6            # at each posture [s]
 _FASTEST, _STEEPEST = 2.4609375, 9.3721  # peak rates of a move of degree 9 over unit time
 _POSTURES, _STROKES = 6, 5
+_HANGING = 2.0         # of a person, to hang a weight at the tip [min]
+_LOADED = 'medium_swings', 'tones', 'fast_swings', 'slow_swings', 'slow_postures'  # with it
 _TONES, _PERIOD, _LONGEST = 12, 6.0, 120.0  # harmonics of tones, and their period; of any [s]
 
 
@@ -33,6 +37,8 @@ class Candidate(NamedTuple):
     name: str
     words: str
     parameters: dict  # ``trajectory.*`` of trajectory_node
+    load: Body | None = None  # that a person hangs at the tip before, beside what is carried
+    minutes: float = 0.0      # that this takes
 
     def trajectory(self, joints: Sequence[str]) -> Trajectory:
         """Return the reference, its time from 0."""
@@ -40,8 +46,8 @@ class Candidate(NamedTuple):
         return trajectory_from_values(values | self.parameters, joints)
 
 
-def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: int = 0
-               ) -> list[Candidate]:
+def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: int = 0,
+               stuck: np.ndarray | None = None) -> list[Candidate]:
     """
     Return motions of many kinds: swings, tones, strokes, moves, of all joints and of single ones.
 
@@ -55,6 +61,8 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: i
         Times as slow as the limits allow; torque may demand it.
     seed : int
         Of postures and phases.
+    stuck : ndarray, shape (n,), optional
+        Amplitudes at which friction holds every link, from `below_break_away` [rad].
 
     """
     reach = _reach(limits, joints)
@@ -74,6 +82,9 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: i
                  reach, limits, joints, pace),
         swing('creeping', f'slow reversals of {several} within a small range',
               _CREEPING * reach, _CREEP),
+        *([] if stuck is None else [swing(
+            'below_break_away', f'slow ramps of {several} up to half of break-away',
+            np.minimum(stuck, _CREEPING * reach), 3.0 * _CREEP)]),
         _postures('fast_postures', f'fast moves with holds at {_POSTURES} postures', reach,
                   limits, joints, pace, seed + 1),
         _postures('slow_postures', f'slow moves with holds at {_POSTURES} postures', reach,
@@ -86,6 +97,22 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: i
                   swing(f'{joint}_alone_short', f'short fast swings of {joint} alone, the '
                         'others held', _SHORT * alone)]
     return found
+
+
+def below_break_away(robot: RobotParams) -> np.ndarray:
+    """Return amplitudes (n,) at which friction gives half of what it breaks away at [rad]."""
+    friction = robot.friction
+    return 0.5 * np.minimum(friction.forward.static, friction.backward.static
+                            ) / friction.stiffness.sum(axis=-1)
+
+
+def by_hand(motions: Sequence[Candidate], weight: float) -> list[Candidate]:
+    """Return motions once more, with a weight [kg] that a person hangs at the tip before."""
+    return [one._replace(
+        name=f'{one.name}_with_weight', minutes=_HANGING, load=Body(
+            weight, np.zeros(3), np.zeros((3, 3))),
+        words=f'{one.words}, after {weight:g} kg are hung at the tip (by hand, {_HANGING:g} min)')
+        for one in motions if one.name in _LOADED]
 
 
 def gentlest(limits: Limits, joints: Sequence[str]) -> Candidate:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gms_flex_control.design.motions import candidates
+from gms_flex_control.design.motions import below_break_away, by_hand, candidates
 from gms_flex_control.design.separation import Beliefs, loop_of, predicted, Prediction, resolving
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware.limits import Limits
@@ -18,7 +18,8 @@ import numpy as np
 MOST = 4               # hypotheses that are separated at once
 SHORTEST = 5.0         # length at which motions are compared, and of any [s]
 _AROUND = 4.0          # before and after each motion: on the way to it, and at rest [s]
-_PACES = tuple(1.25 ** k for k in range(8))  # that are tried until all limits are kept
+_MINUTE = 60.0         # [s]
+PACES = tuple(1.25 ** k for k in range(8))  # that are tried until all limits are kept
 _ENOUGH = 0.8          # probability of leaving one: the shortest motion with it is recorded
 _PROMISING = 0.9       # probability of leaving one in the shortest time: no other is looked for
 _SIMULATED = 3         # motions at most of which longer ones are simulated
@@ -80,7 +81,7 @@ def surviving(report: Mapping) -> list[frozenset]:
 
 
 def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period: float,
-              odds: float = 99.0, longest: float = 60.0,
+              odds: float = 99.0, longest: float = 60.0, weight: float = 0.0,
               say: Callable[[str], object] = lambda text: None) -> NextRecording:
     """
     Choose the motion, and its length, that leaves the true hypothesis soonest.
@@ -102,6 +103,8 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
         Wanted between every pair afterwards.
     longest : float
         Length of the motion at most [s].
+    weight : float
+        That a person can hang at the tip, unless one hangs there already [kg]; 0 for none.
     say : callable
         Called with what is being done.
 
@@ -125,13 +128,17 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
         for length in lengths:
             share = beliefs.probabilities @ resolving(
                 beliefs, one.after(length, beliefs.odds), wanted)
-            pace = 1.0 / (length + _AROUND)
+            pace = 1.0 / (length + _AROUND + _MINUTE * one.candidate.minutes)
             found.append(((share >= _ENOUGH, pace if share >= _ENOUGH else share * pace),
                           float(share), float(length)))
         return max(found)
     lengths = np.arange(first, longest + 0.5)
-    for kind in zip(*(candidates(limits, beliefs.robot.joints, pace) for pace in _PACES),
-                    strict=True):
+    stuck = below_break_away(beliefs.robot)
+
+    def offered(pace):
+        motions = candidates(limits, beliefs.robot.joints, pace, stuck=stuck)
+        return motions + (by_hand(motions, weight) if weight and loop.load is None else [])
+    for kind in zip(*map(offered, PACES), strict=True):
         say(kind[0].words)
         one = next(filter(None, (predicted(beliefs, candidate, first, loop)
                                  for candidate in kind)), None)

@@ -37,7 +37,7 @@ from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.experiment.simulated import Plan, run_plan, to_recording
 from gms_flex_control.hardware.limits import Limits
-from gms_flex_control.params.arm import Body, carrying
+from gms_flex_control.params.arm import Body, carrying, together
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.trajectory import builders
@@ -246,8 +246,8 @@ class Loop(NamedTuple):
 
     def run(self, robot, believed, candidate, duration) -> tuple:
         """Return the Plan and the Run of a robot; SimulationError if it diverges."""
-        plan = closed_loop_plan(loaded(robot, self.load), believed, candidate, duration,
-                                self.gains, period=self.period)
+        plan = closed_loop_plan(loaded(robot, together(self.load, candidate.load)), believed,
+                                candidate, duration, self.gains, period=self.period)
         return plan, run_plan(plan)
 
     def keeps(self, robot, believed, candidate, duration) -> bool:
@@ -263,6 +263,7 @@ class Recorded(NamedTuple):
 
     name: str
     reference: Trajectory
+    load: Body | None = None  # beside what is carried
 
     def trajectory(self, _) -> Trajectory:
         """Return the reference, its time from 0."""
@@ -328,7 +329,8 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
         return None
     odds = np.zeros((count, count))
     noise = np.vstack([so_far.noise, np.sqrt(np.mean(so_far.noise ** 2, axis=0))])
-    recordings = [replace(to_recording(run, plan), load=loop.load) for plan, run in runs]
+    recordings = [replace(to_recording(run, plan), load=together(loop.load, candidate.load))
+                  for plan, run in runs]
     for a, recording in enumerate(recordings):
         motions = [*so_far.motions, motion_of(recording, beliefs.robot)]
         likelihood = Likelihood(motions, beliefs.robot, seed).with_noise(noise)

@@ -70,6 +70,7 @@ def separate(recordings: Sequence[Recording], robot: RobotParams, sets: Sequence
              gains: ControllerParams, limits: Limits,
              drive: Callable[[NextRecording, int], Recording], *, period: float,
              odds: float = 99.0, budget: float = 60.0, longest: float = 60.0,
+             weight: float = 0.0,
              say: Callable[[str], object] = lambda text: None) -> Separation:
     """
     Plan, drive and update until one hypothesis is left, or nothing more can be done.
@@ -82,7 +83,7 @@ def separate(recordings: Sequence[Recording], robot: RobotParams, sets: Sequence
         As believed before them.
     sets : sequence of collection of (effect, joint)
         The hypotheses.
-    gains, limits, period, odds, longest, say
+    gains, limits, period, odds, longest, weight, say
         As of `plan_next`.
     drive : callable
         Plan and its number, from 1, to the Recording of what the robot did.
@@ -110,7 +111,7 @@ def separate(recordings: Sequence[Recording], robot: RobotParams, sets: Sequence
         if room < SHORTEST:
             return ended(BUDGET)
         plan = plan_next(left, gains, limits, period=period, odds=odds,
-                         longest=min(longest, room), say=say)
+                         longest=min(longest, room), weight=weight, say=say)
         if plan.probability < HOPELESS and len(rounds) >= FORESEEN:
             return ended(INSEPARABLE, plan)
         say(plan.sentence())

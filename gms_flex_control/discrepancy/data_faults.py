@@ -9,6 +9,7 @@ from gms_flex_control.discrepancy.motion import has_commands, held, with_links
 from gms_flex_control.identification import sampling_checks
 from gms_flex_control.identification.check_basis import absent_joints
 from gms_flex_control.identification.recording_checks import check
+from gms_flex_control.params.arm import carrying, why_not_carried
 import numpy as np
 
 _OF_TORQUE = ('swapped_joints', 'swapped_sides', 'torque_sign', 'torque_scale', 'unexplained')
@@ -35,6 +36,9 @@ def _faults(recording, robot):
     if any(finding.severity == 'refuse' for finding in timing):
         return timing  # nothing can be computed along such a time
     recording = with_links(recording, robot)
+    if recording.load is not None and not why_not_carried(recording.load, robot.arm):
+        robot = replace(robot, arm=carrying(robot.arm, recording.load))
+        recording = replace(recording, load=None)
     if not has_commands(recording):
         return list(check(recording, robot))
     efforts = np.isfinite(recording.tau_motor).any(axis=0)

@@ -178,10 +178,3 @@ def words_of_drift(spec, span) -> str:
     """Return a sentence on a change of friction over a range of time, which is not written."""
     return (f'What is unexplained includes {described(spec, span)[0]}: it belongs to this '
             'recording and is not in the model.')
-
-
-def words_of_named(findings) -> str:
-    """Return a sentence on findings that are all that is missing, and are in no model."""
-    names = ' and '.join(f'{one.effect} of {one.joint}' for one in findings)
-    return (f'Nothing was learned: a term is learned for what has no name, and all that is '
-            f'missing is named, {names}.')

@@ -26,15 +26,10 @@ from gms_flex_control.discrepancy.fitting import (
     values_of,
 )
 from gms_flex_control.discrepancy.gap import HeldOut
-from gms_flex_control.discrepancy.learned_words import (
-    described,
-    words_of,
-    words_of_drift,
-    words_of_named,
-)
+from gms_flex_control.discrepancy.learned_words import described, words_of, words_of_drift
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
-from gms_flex_control.discrepancy.nuisance import with_nuisances
+from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
 from gms_flex_control.discrepancy.result import Discrepancy, LearnedTerm
 from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, PLAUSIBLE, UNSEEN
 from gms_flex_control.discrepancy.validation import gain_of
@@ -44,6 +39,7 @@ import numpy as np
 
 MOST_TERMS = 3        # that are learned of one robot
 _TRIED = 3            # candidates of most evidence that are validated
+_COARSE = 3, 6        # knots of curves that few data determine
 _ZOOMS = 0.25, 1.0 / 12.0  # of the range: windows about the place where a curve stands out
 _ITERATIONS = 3       # of a fit, in which only noise levels change
 _OFF = 5e-4           # of the moments, at either end of a range
@@ -74,7 +70,7 @@ class _Candidate(NamedTuple):
 
 def learn(result, *, holdout=(), say=lambda text: None) -> Discrepancy:
     """
-    Return a Discrepancy with terms learned for what it leaves unexplained.
+    Return a Discrepancy with terms learned for what no effect in its robot explains.
 
     Parameters
     ----------
@@ -88,43 +84,63 @@ def learn(result, *, holdout=(), say=lambda text: None) -> Discrepancy:
     Returns
     -------
     Discrepancy
-        The same where nothing lacks a name, or no term predicts held-out data better. Else with
+        The same where nothing is open, or no term predicts held-out data better. Else with
         ``learned`` terms in ``robot``, in the place of effects that only resemble what is missing
         where that predicts better.
 
     """
-    if result.unexplained is None or result.behind is None:
-        return result.saying(words_of_named(result.not_added)) if result.not_added else result
+    if not result.is_open or result.behind is None:
+        return result
     with blas.in_one_thread(), np.errstate(all='ignore'):
         return _learned(result, holdout, say)
 
 
 def _learned(result, holdout, say):
     """Return `learn` of a result in which something is unexplained."""
-    likelihood, written = result.behind.likelihood, result.behind.written
+    likelihood = result.behind.likelihood
     say('learning a term for what is unexplained')
-    measured = Likelihood([motion_of(one, likelihood.robot) for one in holdout],
-                          likelihood.robot, held_out=True) if holdout else None
-    learning = _Learning(likelihood, measured, result.behind.before, say)
-    known = {(one.name, one.joint) for one in result.stand_ins}
-    begins = [written]
-    if known:  # a term may take the place of what only resembles it
-        fewer = replace(written.robot, effects=tuple(
-            one for one in written.robot.effects if (one.name, one.joint) not in known))
-        begins.insert(0, likelihood.fitted(fewer, written.x))
-    for begin in begins:
+    for learning, begin in _begun(result, holdout, say):
         state, terms, gap, drift = learning.run(learning.state(begin))
         if terms and _is_closer(likelihood, gap, result.gap):
             break
     else:
         return result.saying(drift or words_of(()))
-    robot = with_nuisances(state.model.robot, likelihood.nuisances, state.model.x)
+    robot = with_nuisances(state.model.robot, learning.likelihood.nuisances, state.model.x)
     kept = {(one.name, one.joint) for one in robot.effects}
     return replace(
         result.saying(words_of(terms, result.gap, gap), drift), learned=terms, robot=robot,
         gap=gap,
         stand_ins=tuple(one for one in result.stand_ins if (one.name, one.joint) in kept),
-        behind=result.behind._replace(written=state.model))
+        behind=result.behind._replace(
+            written=state.model if learning.likelihood is likelihood
+            else likelihood.fitted(robot, np.zeros(len(likelihood.nuisances)))))
+
+
+def _begun(result, holdout, say):
+    """
+    Yield a _Learning and the Fitted that it begins with.
+
+    Without what only resembles the cause, whose place a term may take; beside it, all re-tuned
+    together; and beside the model written as it is: it was chosen by what it predicts, which
+    re-tuning with a term may spoil.
+    """
+    likelihood, written = result.behind.likelihood, result.behind.written
+
+    def measured(robot):
+        return Likelihood([motion_of(one, robot) for one in holdout], robot,
+                          held_out=True) if holdout else None
+    learning = _Learning(likelihood, measured(likelihood.robot), result.behind.before, say)
+    known = {(one.name, one.joint) for one in result.stand_ins}
+    if known:
+        yield learning, likelihood.fitted(replace(written.robot, effects=tuple(
+            one for one in written.robot.effects if (one.name, one.joint) not in known)),
+            written.x)
+    yield learning, written
+    robot = with_nuisances(written.robot, likelihood.nuisances, written.x)
+    likelihood = Likelihood(likelihood.motions, robot, likelihood.seed).with_noise(
+        likelihood.noise)
+    begin = likelihood.fitted(robot, np.zeros(len(likelihood.nuisances)))
+    yield _Learning(likelihood, measured(robot), begin, say, as_it_is=True), begin
 
 
 def _is_closer(likelihood, gap, before):
@@ -137,9 +153,11 @@ def _is_closer(likelihood, gap, before):
 class _Learning:
     """The learning of terms for one robot, one after the other."""
 
-    def __init__(self, likelihood, measured, before, say):
-        self._likelihood, self._measured, self._say = likelihood, measured, say
+    def __init__(self, likelihood, measured, before, say, as_it_is=False):
+        self.likelihood, self._measured, self._say = likelihood, measured, say
         self._nuisances = likelihood.columns(before.robot, before.x, before.rows)
+        if as_it_is:
+            self._nuisances[[not isinstance(one, OfRecording) for one in likelihood.nuisances]] = 0
         self._before = State(before, self._nuisances, effect_columns(
             likelihood, before.robot, before.x, before.rows, numbers_of(likelihood, before.robot)),
             -np.inf, PLAUSIBLE)
@@ -151,59 +169,59 @@ class _Learning:
 
     def state(self, model) -> State:
         """Return a model fitted again as a State."""
-        model, columns = refitted(self._likelihood, model, self._nuisances)
-        return state_of(self._likelihood, model, columns, self._count)
+        model, columns = refitted(self.likelihood, model, self._nuisances)
+        return state_of(self.likelihood, model, columns, self._count)
 
     def run(self, state) -> tuple:
         """Return a State with terms, LearnedTerm of each, its Gap, words on a drift or ''."""
-        terms, gap = [], self._gap(state)
+        terms, gap, drift = [], self._gap(state), ''
         while len(terms) < MOST_TERMS:
             for one in sorted(self._candidates(state), key=lambda one: -one.state.evidence)[
                     :_TRIED]:
                 if one.state.evidence < state.evidence + EVIDENCE:
-                    return state, tuple(terms), gap, ''
+                    return state, tuple(terms), gap, drift
                 gain = self._gain(one, state)
                 if not gain._replace(sigmas=gain.sigmas / self._caution).is_real:
                     continue
                 if not shapes.KINDS[one.spec.name].written:
-                    return state, tuple(terms), gap, words_of_drift(one.spec,
-                                                                    self._ranges_of(one))
+                    drift = words_of_drift(one.spec, self._ranges_of(one))
+                    continue
                 closer = self._closer(one.state, gap)
                 if closer is not None:
                     break
             else:
-                return state, tuple(terms), gap, ''
+                return state, tuple(terms), gap, drift
             formula, error = described(one.spec, self._ranges_of(one))
             terms.append(LearnedTerm(one.spec.name, one.spec.joint, formula, error,
                                      self._freedom(one), gain))
             state, gap = one.state, closer
             self._say(f'learned {one.spec.name} of {one.spec.joint}')
-        return state, tuple(terms), gap, ''
+        return state, tuple(terms), gap, drift
 
     def _gap(self, state):
-        return HeldOut(self._likelihood, self._measured).gap(self._before, state)
+        return HeldOut(self.likelihood, self._measured).gap(self._before, state)
 
     def _ranges_of(self, one):
         """Return the range of the variable of a candidate's term, None of no curve."""
-        j = self._likelihood.robot.joints.index(one.spec.joint)
+        j = self.likelihood.robot.joints.index(one.spec.joint)
         return self._ranges[j].get(_CURVES.get(one.spec.name))
 
     def _gain(self, one, state):
         """Return the Gain of a candidate on blocks left out, over the model without it."""
-        likelihood, change = self._likelihood, state.model.rows - one.state.model.rows
+        likelihood, change = self.likelihood, state.model.rows - one.state.model.rows
         return gain_of(likelihood, *((each.model, each.columns) for each in (one.state, state)),
                        change, plausible_limit(likelihood, one.state.model))
 
     def _closer(self, state, gap):
         """Return the Gap of a model if it is clearly less in torque and no more in free runs."""
-        if not (self._measured or self._likelihood).is_followed(state.model):
+        if not (self._measured or self.likelihood).is_followed(state.model):
             return None
         other = self._gap(state)
-        return other if _is_closer(self._likelihood, other, gap) else None
+        return other if _is_closer(self.likelihood, other, gap) else None
 
     def _freedom(self, one):
         """Return how many parameters of a term the data determine, its effective parameters."""
-        likelihood, model = self._likelihood, one.state.model
+        likelihood, model = self.likelihood, one.state.model
         columns = informative(likelihood, model, one.state.columns)[len(one.others):]
         values, size = np.array(one.spec.values[:len(columns)]), [
             number.sd for number in numbers_of(likelihood, model.robot)[-len(columns):]]
@@ -221,7 +239,7 @@ class _Learning:
             if (spec.name, spec.joint) in there:
                 continue
             here = [self._fitted(state, spec)]
-            if spec.name in _CURVES and _CURVES[spec.name] != 'time':
+            if _used(spec) == shapes.KNOTS and _CURVES[spec.name] != 'time':
                 for zoom in _ZOOMS:
                     here.append(self._fitted(state, _window(here[-1].spec, spec, zoom)))
                     if here[-1].state.evidence < here[-2].state.evidence:
@@ -231,7 +249,7 @@ class _Learning:
 
     def _fitted(self, state, spec):
         """Return a _Candidate of a model with a term, all else re-tuned."""
-        likelihood, base = self._likelihood, state.model
+        likelihood, base = self.likelihood, state.model
         kind = shapes.KINDS[spec.name]
         count = kind.count
         size = _PROBE * (kind.typical(likelihood.scales_of(spec.joint))[0])
@@ -242,7 +260,8 @@ class _Learning:
             values = (*(size * (i == k) for i in range(count)), *spec.values[count:])
             probe = with_effect(base.robot, replace(spec, values=values))
             return (likelihood.rows(probe, base.x) - model.rows) / size
-        own = likelihood.each(column, range(count))
+        own = np.zeros((count, len(model.rows)))
+        own[:_used(spec)] = likelihood.each(column, range(_used(spec)))
         columns, at = np.concatenate([state.columns, own]), len(base.x)
         for _ in range(_ITERATIONS):
             numbers = [one._replace(reach=np.inf)
@@ -280,22 +299,29 @@ def _specs(likelihood, j, ranges):
     span, rigid = highest - lowest, robot.arm.rigid[j]
     turns = robot.arm.axes == 'rotary' and span > 2.0 * np.pi
     further = {
-        'learned_hysteresis': tuple(share * span for share in _YIELDS),
-        'learned_resonance': (*_FREQUENCIES, _DAMPING)}
+        'learned_hysteresis': [tuple(share * span for share in _YIELDS)],
+        'learned_resonance': [(*_FREQUENCIES, _DAMPING)]}
     for name, kind in shapes.KINDS.items():
         if rigid and name == 'learned_torsion':
             continue
         rest = further.get(name)
         if rest is None:
-            rest = (*ranges[_CURVES[name]], shapes.FLAT_BEYOND)
-            if turns and _CURVES[name] == 'angle':
-                rest = 0.0, 2.0 * np.pi, shapes.REPEATS
+            repeats = turns and _CURVES[name] == 'angle'
+            rest = [(*((0.0, 2.0 * np.pi, shapes.REPEATS) if repeats else (
+                *ranges[_CURVES[name]], shapes.FLAT_BEYOND)), float(knots))
+                for knots in (*_COARSE, shapes.KNOTS)]
         scales, last = likelihood.scales_of(joint), kind.parameters[-1].name
         ways = {'reach': (max(_REACH * span, _COUNTS * scales.count),),
                 'still': tuple(share * scales.speed for share in _STILL)}.get(last, (None,))
-        found += [EffectSpec(name=name, joint=joint, values=(0.0,) * kind.count + rest + (
-            () if way is None else (way,))) for way in ways]
+        found += [EffectSpec(name=name, joint=joint, values=(0.0,) * kind.count + one + (
+            () if way is None else (way,))) for one in rest for way in ways]
     return found
+
+
+def _used(spec):
+    """Return how many weights of a term are in use."""
+    return int(spec.values[shapes.USED] if spec.name in _CURVES else shapes.KINDS[
+        spec.name].count)
 
 
 def _window(fitted, whole, share):

@@ -23,11 +23,11 @@ from gms_flex_control.data.signal_analysis import (
     noise_of,
     quantum,
 )
-from gms_flex_control.dynamics import spatial
+from gms_flex_control.dynamics import chain
 from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.errors import BagError
-from gms_flex_control.params.arm import at_last_link, Body
+from gms_flex_control.params.arm import at_last_link, Body, why_not_carried
 from gms_flex_control.simulation import plant
 import numpy as np
 from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
@@ -102,7 +102,7 @@ class Motion:
         if self.load is None:
             return constants
         boxed = records.boxed(constants)
-        boxed['chain'][0] = spatial.carrying(constants.chain, self.load)
+        boxed['chain'][0] = chain.carrying(constants.chain, self.load)
         return boxed[0]
 
     def through_filter(self, torque) -> np.ndarray:
@@ -191,7 +191,7 @@ def motion_of(recording, robot) -> Motion:
     half = round(0.5 * _SETTLED / period)  # friction remembers the motion that nobody saw
     known = minimum_filter1d(known, 2 * half + 1, origin=half)
     known = minimum_filter1d(known, smoothing(period) + 4 * motion.factor)
-    load = recording.load and at_last_link(recording.load, robot.arm.frames)
+    load = recording.load and at_last_link(recording.load, robot.arm)
     return replace(motion, known=known[::motion.factor], load=load)
 
 
@@ -200,9 +200,9 @@ def require_known(recording, robot) -> None:
     if recording.load_unknown:
         raise BagError(f'{recording.source}: its load is unknown; gms_flex identify finds it '
                        '(recordings.1.load), then state it in recording.yaml')
-    if recording.load is not None and robot.arm.frames is None:
-        raise BagError(f'{recording.source}: has a load, which needs an arm of a URDF; write the '
-                       'robot file with arm.kind: urdf, or add the load to its last link')
+    why_not = recording.load and why_not_carried(recording.load, robot.arm)
+    if why_not:
+        raise BagError(f'{recording.source}: {why_not}')
     loose = np.flatnonzero(~np.isfinite(recording.scale_sd))
     if len(loose):
         raise BagError(f'{recording.source}: the torque constant of {recording.joints[loose[0]]} '

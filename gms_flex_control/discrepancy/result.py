@@ -172,6 +172,11 @@ class Discrepancy:
                        details=' '.join(filter(None, (self.details, *sentences))))
 
     @property
+    def is_open(self) -> bool:
+        """Return whether something is missing that no effect in ``robot`` explains."""
+        return self.verdict == UNEXPLAINED or self.unexplained is not None
+
+    @property
     def added(self) -> tuple:
         """Return findings that matter and are in ``robot``."""
         return tuple(one for one in self.findings if any(

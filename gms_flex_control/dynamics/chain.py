@@ -16,6 +16,7 @@ from typing import NamedTuple
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled, compiled_choice
 from gms_flex_control.dynamics import planar, spatial
+from gms_flex_control.params.arm import Body
 from gms_flex_control.records import FLOAT
 from numba import types
 import numpy as np
@@ -41,6 +42,11 @@ class ChainMatrices(NamedTuple):
 def constants_of(arm) -> np.record:
     """Return an ArmParams as the record the kernels take."""
     return spatial.constants_of(arm) if arm.frames is not None else planar.constants_of(arm)
+
+
+def carrying(links, load: Body) -> np.record:
+    """Return a copy of a record whose last link carries a body, given in that link's frame."""
+    return _kernels(links, 'carrying')(links, load)
 
 
 @cache

@@ -22,6 +22,7 @@ from gms_flex_control.dynamics.vectors import (
     multiply_transposed,
     solve_factorised,
 )
+from gms_flex_control.params.arm import Body
 from gms_flex_control.records import FLOAT
 import numpy as np
 
@@ -31,14 +32,16 @@ def constants_layout(n) -> np.dtype:
     """
     Return the dtype of an arm of n joints as kernels take it.
 
-    ``orientation`` T and ``inverse`` T^-1; ``offset`` of theta [rad]; ``coupling`` A [kg m^2];
+    ``orientation`` T and ``inverse`` T^-1; ``length`` of the links [m]; ``offset`` of theta
+    [rad]; ``coupling`` A [kg m^2];
     ``rigid_inertia``, motor inertia of rigid joints seen in theta [kg m^2]; ``moment``, mass
     moment about each joint [kg m]; ``gravity`` [m/s^2]; ``motor_inertia`` J [kg m^2];
     ``flexible``, 1 or 0; ``stiffness`` K [N m/rad] and ``damping`` [N m s/rad], 0 where rigid.
     """
     square, vector = (n, n), (n,)
     return records.layout(
-        ('orientation', FLOAT, square), ('inverse', FLOAT, square), ('offset', FLOAT, vector),
+        ('orientation', FLOAT, square), ('inverse', FLOAT, square), ('length', FLOAT, vector),
+        ('offset', FLOAT, vector),
         ('coupling', FLOAT, square), ('rigid_inertia', FLOAT, square),
         ('moment', FLOAT, vector), ('gravity', FLOAT, (2,)),
         ('motor_inertia', FLOAT, vector), ('flexible', FLOAT, vector),
@@ -60,12 +63,22 @@ def constants_of(arm) -> np.record:
                 coupling[i, j] = coupling[j, i] = arm.length[i] * moment[j]
     rigid_inertia = inverse.T @ np.diag(np.where(arm.rigid, arm.motor_inertia, 0.0)) @ inverse
     return records.build(
-        constants_layout(n), orientation=orientation, inverse=inverse,
+        constants_layout(n), orientation=orientation, inverse=inverse, length=arm.length,
         offset=orientation @ arm.offset, coupling=coupling,
         rigid_inertia=rigid_inertia, moment=moment, gravity=arm.gravity,
         motor_inertia=arm.motor_inertia, flexible=~arm.rigid,
         stiffness=np.where(arm.rigid, 0.0, arm.stiffness),
         damping=np.where(arm.rigid, 0.0, arm.damping))
+
+
+def carrying(links, load: Body) -> np.record:
+    """Return a copy of a record whose last link carries a body, given in that link's frame."""
+    out, lever = links.copy(), links.length.copy()
+    lever[-1] = load.com[0]
+    out.moment += load.mass * lever
+    out.coupling += load.mass * np.outer(lever, lever)
+    out.coupling[-1, -1] += load.inertia[2, 2]
+    return out
 
 
 def work_fields(n) -> tuple:

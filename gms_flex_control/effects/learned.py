@@ -26,10 +26,10 @@ from gms_flex_control.effects.signals import (
 )
 import numpy as np
 
-KNOTS = 24            # of a curve
+KNOTS = 24            # of a curve, at most
 STOPS, MODES = 12, 8  # of hysteresis, of resonance
 ZERO_BEYOND, FLAT_BEYOND, REPEATS = 0.0, 1.0, 2.0  # a curve outside its range
-_LOWEST, _HIGHEST, _ENDS, _SIGN = range(KNOTS, KNOTS + 4)
+_LOWEST, _HIGHEST, _ENDS, USED, _SIGN = range(KNOTS, KNOTS + 5)
 
 
 def _weights(count, unit, lower=-np.inf, upper=np.inf):
@@ -44,7 +44,8 @@ def _range(unit, what):
 
 def _curve(unit, what, lower=-np.inf, upper=np.inf, of='N m'):
     return (*_weights(KNOTS, of, lower, upper), *_range(unit, what),
-            Parameter('ends', '1', 'beyond: 0 zero, 1 flat, 2 repeats', 0.0, 2.0, fixed=True))
+            Parameter('ends', '1', 'beyond: 0 zero, 1 flat, 2 repeats', 0.0, 2.0, fixed=True),
+            Parameter('knots', '1', 'how many weights are in use', 2.0, KNOTS, fixed=True))
 
 
 _STILL = Parameter('still', 'rad/s', 'rate of which three count as motion', 0.0, fixed=True)
@@ -60,27 +61,29 @@ def curve(at, p) -> float:
     at : float
         Where.
     p : pointer to float64, or ndarray
-        Weights at `KNOTS` even knots, lowest and highest place, and what is beyond: 0 nothing (the
-        first and the last knot lie one step inside), 1 the weight at that end, 2 the curve again.
+        `KNOTS` weights, lowest and highest place, what is beyond: 0 nothing (the first and the
+        last knot lie one step inside), 1 the weight at that end, 2 the curve again; and at how
+        many even knots the first weights stand.
 
     """
-    if not p[_HIGHEST] > p[_LOWEST]:
+    knots = int(p[USED])
+    if not p[_HIGHEST] > p[_LOWEST] or not 2 <= knots <= KNOTS:
         return 0.0
     x = (at - p[_LOWEST]) / (p[_HIGHEST] - p[_LOWEST])
     if p[_ENDS] >= 2.0:
-        x = (x - np.floor(x)) * KNOTS
+        x = (x - np.floor(x)) * knots
     elif p[_ENDS] >= 1.0:
-        x = min(max(x, 0.0), 1.0) * (KNOTS - 1)
+        x = min(max(x, 0.0), 1.0) * (knots - 1)
     else:
-        x = min(max(x * (KNOTS + 1) - 1.0, -1.0), float(KNOTS))
+        x = min(max(x * (knots + 1) - 1.0, -1.0), float(knots))
     k = int(np.floor(x))
     share, after = x - k, k + 1
     if p[_ENDS] >= 2.0:
-        k, after = k % KNOTS, after % KNOTS
+        k, after = k % knots, after % knots
     value = 0.0
-    if 0 <= k < KNOTS:
+    if 0 <= k < knots:
         value += (1.0 - share) * p[k]
-    if 0 <= after < KNOTS:
+    if 0 <= after < knots:
         value += share * p[after]
     return value
 

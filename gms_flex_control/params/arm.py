@@ -234,9 +234,11 @@ def joined(bodies: Sequence[Body]) -> Body:
     return Body(mass, com, inertia)
 
 
-def at_last_link(load: Body, frames: Frames) -> Body:
-    """Return a load given in the frame at the end of a chain in the frame of its last link."""
-    return moved(load, frames.end_rotation, frames.end)
+def at_last_link(load: Body, arm: ArmParams) -> Body:
+    """Return a load given in the frame at the end of an arm in the frame of its last link."""
+    if arm.frames is None:
+        return moved(load, np.eye(3), np.array([arm.length[-1], 0.0, 0.0]))
+    return moved(load, arm.frames.end_rotation, arm.frames.end)
 
 
 def at_end(load: Body, frames: Frames) -> Body:
@@ -245,11 +247,32 @@ def at_end(load: Body, frames: Frames) -> Body:
     return moved(load, back, -back @ frames.end)
 
 
+def together(*loads: Body | None) -> Body | None:
+    """Return loads in one frame as one, None of none."""
+    bodies = [one for one in loads if one is not None]
+    return joined(bodies) if bodies else None
+
+
+def why_not_carried(load: Body, arm: ArmParams) -> str:
+    """Return why an arm cannot carry a load, '' if it can."""
+    if arm.kind == 'decoupled':
+        return 'has a load, which decoupled axes do not share; add it to the inertia of each'
+    if arm.kind == 'planar' and load.com[1] != 0.0:
+        return (f'has a load {load.com[1]:g} m beside the line of the last link, which a planar '
+                'arm cannot carry; give load.com[1] as 0, or write the arm with arm.kind: urdf')
+    return ''
+
+
 def carrying(arm: ArmParams, load: Body | None) -> ArmParams:
-    """Return an arm of kind urdf with a load, given in the frame at its end, on its last link."""
+    """Return an arm with a load, given in the frame at its end, on its last link."""
     if load is None:
         return arm
     mass, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
-    mass[-1], com[-1], inertia[-1] = joined(
-        [Body(mass[-1], com[-1], inertia[-1]), at_last_link(load, arm.frames)])
+    if arm.frames is not None:
+        mass[-1], com[-1], inertia[-1] = joined(
+            [Body(mass[-1], com[-1], inertia[-1]), at_last_link(load, arm)])
+    else:  # in the plane
+        own = Body(mass[-1], np.array([com[-1], 0.0, 0.0]), inertia[-1] * np.eye(3))
+        mass[-1], centre, about = joined([own, at_last_link(load, arm)])
+        com[-1], inertia[-1] = centre[0], about[2, 2]
     return replace(arm, mass=mass, com=com, inertia=inertia)

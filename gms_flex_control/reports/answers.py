@@ -169,7 +169,7 @@ def discrepancy_answer(result, folder) -> Answer:
                       command('info', *result.sources))
     torque, angle = gap_numbers(result.gap)
     numbers = [torque[0], angle[0], *_values(result), *torque[1:], *angle[1:]]
-    if result.unexplained is None:
+    if not result.is_open:
         after = ('identify', *result.sources, '--robot', Path(folder) / 'robot.yaml', '--out',
                  Path(folder) / 'friction')
     elif not result.learned:

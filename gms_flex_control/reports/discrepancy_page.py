@@ -182,13 +182,12 @@ def _add_evidence_chart(report, evidence):
 
 
 def _add_left(report, result):
-    if result.unexplained is None:
-        return
     left = result.unexplained
-    report.heading('What is unexplained')
-    report.note(left.sentence, warning=True)
-    report.table(('share of what was missing', 'equation', 'joint', 'depends most on'),
-                 [(f'{100.0 * left.share:.1f} %', left.equation, left.joint, left.variable)])
+    if left is not None:
+        report.heading('What is unexplained')
+        report.note(left.sentence, warning=True)
+        report.table(('share of what was missing', 'equation', 'joint', 'depends most on'),
+                     [(f'{100.0 * left.share:.1f} %', left.equation, left.joint, left.variable)])
     if result.learned:
         report.heading('What was learned instead')
         report.table(('term', 'looks like', 'effective parameters', 'held-out log likelihood'), [

@@ -1,0 +1,172 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The motion that determines what an identification left open.
+
+D-optimality for some of the parameters (D_s; Atkinson and Donev, Optimum Experimental Designs,
+1992): the logarithm of the determinant of the information about those not identified, all others
+eliminated with what is known of them.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.design.motions import below_break_away, Candidate, candidates
+from gms_flex_control.design.plan import clipped, PACES
+from gms_flex_control.design.separation import closed_loop_plan, Loop, stops_within
+from gms_flex_control.discrepancy.fitting import informative
+from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.discrepancy.nuisance import OfRecording
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.experiment.simulated import run_plan, to_recording
+from gms_flex_control.hardware.limits import Limits
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import RobotParams
+import numpy as np
+
+_OPEN = 'not identifiable', 'doubtful'  # standings of estimates
+_NOTHING_KNOWN = 1e-4  # prior information, relative, about what was not identified
+# kinds of relative changes that stand for a parameter, by the last part of its name
+_KINDS = {'static': ('static',), 'coulomb': ('level',), 'velocity': ('velocity',),
+          'viscous': ('viscous',), 'attraction': ('attraction',), 'weight': ('blocks',),
+          'stiffness': ('blocks',), 'mass': ('gravity', 'inertia'), 'com': ('gravity', 'inertia'),
+          'inertia': ('inertia',), 'motor_inertia': ('motor_inertia',), 'damping': ('damping',)}
+
+
+class Worth(NamedTuple):
+    """What one motion is expected to tell."""
+
+    candidate: Candidate
+    information: float    # log det of it about the parameters not identified
+    sd: np.ndarray        # (K,) relative standard deviations that it leaves
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Determination:
+    """The motion to be recorded for an identification."""
+
+    missing: tuple        # of str: what was not identified
+    before: Worth | None  # with the recordings so far
+    compared: tuple       # of Worth, the best first
+    duration: float       # [s]
+
+    @property
+    def best(self) -> Worth:
+        """Return the motion chosen."""
+        return self.compared[0]
+
+    def sentence(self) -> str:
+        """Return what to record and what it will tell."""
+        known = ', '.join(f'{name} to {100.0 * sd:.2g} %' for name, sd in zip(
+            self.missing, self.best.sd, strict=True))
+        return (f'Record {self.duration:.0f} s of {self.best.candidate.words}: it is expected to '
+                f'determine {known} (standard deviations).')
+
+
+def missing_of(report: Mapping) -> list[tuple[str, str]]:
+    """Return (kind, joint) that a report.json of ``identify`` calls not identified."""
+    found = {}
+    for joint in report['joints']:
+        for one in joint['estimates']:
+            part, *_, last = one['name'].split('.')
+            kind = last.partition('[')[0]
+            if one['standing'] in _OPEN and kind in _KINDS:
+                kinds = ('stiffness',) if part == 'arm' and kind == 'stiffness' else _KINDS[kind]
+                found |= {(name, joint['joint']): None for name in kinds}
+    return list(found)
+
+
+def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
+                       missing: Sequence[tuple[str, str]], gains: ControllerParams,
+                       limits: Limits, *, period: float, duration: float = 20.0,
+                       say: Callable[[str], object] = lambda text: None) -> Determination:
+    """
+    Choose the motion with most information about what was not identified.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        As identified.
+    recordings : sequence of Recording
+        So far; may be empty.
+    missing : sequence of (kind, joint)
+        From `missing_of`.
+    gains, limits, period, say
+        As of `plan_next`.
+    duration : float
+        Of the motion [s].
+
+    Returns
+    -------
+    Determination
+
+    Raises
+    ------
+    ConfigError
+        If nothing is missing that a motion could tell, or every motion would cross a limit.
+
+    """
+    loop = Loop(clipped(gains, limits), limits, period, (), (robot,))
+    before, found, so_far = None, [], 0.0
+    if recordings:
+        say('information in the recordings so far')
+        so_far, wanted, sd = _information(recordings, robot, missing)
+        before = _worth(None, so_far, wanted, sd)
+    stuck = below_break_away(robot)
+    for kind in zip(*(candidates(limits, robot.joints, pace, stuck=stuck) for pace in PACES),
+                    strict=True):
+        say(kind[0].words)
+        one = next((one for one in kind if stops_within(one, robot.joints, duration, limits)
+                    and loop.keeps(robot, robot, one, duration)), None)
+        if one is None:
+            continue
+        plan = closed_loop_plan(robot, robot, one, duration, loop.gains, period=period)
+        told, wanted, sd = _information([to_recording(run_plan(plan), plan)], robot, missing)
+        found.append(_worth(one, so_far + told, wanted, sd))
+    if not found:
+        raise ConfigError('every motion would cross a limit; widen the limits, or look at gains '
+                          'with gms_flex tune')
+    found.sort(key=lambda one: -one.information)
+    return Determination(missing=tuple(' of '.join(key) for key in wanted.values()),
+                         before=before, compared=tuple(found), duration=duration)
+
+
+def _information(recordings, robot, missing):
+    """
+    Return the information (P, P) about relative changes of parameters, over their priors.
+
+    And which are wanted, dict of index to (kind, joint), and standard deviations of priors.
+    """
+    likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot, cautious=True)
+    own = [k for k, one in enumerate(likelihood.nuisances) if not isinstance(one, OfRecording)]
+    keys = [_key(robot, likelihood.nuisances[k]) for k in own]
+    wanted = {i: key for i, key in enumerate(keys) if key in missing}
+    if not wanted:
+        raise ConfigError('of what was not identified no motion tells more: '
+                          + (', '.join(f'{name} of {joint}' for name, joint in missing)
+                             or 'all is identified'))
+    x = np.zeros(len(likelihood.nuisances))
+    model = likelihood.fitted(robot, x)
+    sd = likelihood.sd[own]
+    columns = informative(likelihood, model, likelihood.columns(robot, x, model.rows))[own]
+    scaled = columns * sd[:, None]
+    return scaled @ scaled.T, wanted, sd
+
+
+def _key(robot, nuisance):
+    """Return (kind, joint) of a nuisance parameter."""
+    return nuisance.name, 'arm' if nuisance.joint < 0 else robot.joints[nuisance.joint]
+
+
+def _worth(candidate, information, wanted, sd):
+    """Return the Worth of information about relative changes, known ones within their priors."""
+    at = list(wanted)
+    prior = np.ones(len(information))
+    prior[at] = _NOTHING_KNOWN
+    covariance = np.linalg.inv(information + np.diag(prior))[np.ix_(at, at)]
+    return Worth(candidate, -float(np.linalg.slogdet(covariance)[1]),
+                 np.sqrt(np.diag(covariance)) * sd[at])
