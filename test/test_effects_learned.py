@@ -14,7 +14,7 @@ from gms_flex_control.compiled import compiled
 from gms_flex_control.control.feedforward import as_parameters
 from gms_flex_control.discrepancy.learned_words import described, formula_of
 from gms_flex_control.discrepancy.learning import learn
-from gms_flex_control.discrepancy.result import Signature, UNEXPLAINED
+from gms_flex_control.discrepancy.result import UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.effects import learned, registry, table
 from gms_flex_control.effects import signals as sig
@@ -211,9 +211,8 @@ def test_a_clean_robot_gets_no_term_even_if_asked_for():
     case = make_case('clean', 1, duration=20.0)
     found = find_discrepancy([case.recording], case.nominal)
     assert learn(found) is found
-    named = SimpleNamespace(effect='backlash', joint='joint1', key=('backlash', 'joint1'))
-    assert 'Nothing was learned' in learn(replace(found, findings=(named,))).words
-    asked = replace(found, unexplained=Signature(0.5, 'link', 'joint1', '', 'made up.'))
+    asked = replace(found, verdict=UNEXPLAINED)  # as where a finding could not be added
+    assert '--learn' in discrepancy_answer(asked, 'gap').command
     result = learn(asked)
     assert result.learned == () and result.robot is found.robot
     assert 'No learned term predicts' in result.words

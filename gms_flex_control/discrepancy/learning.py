@@ -18,10 +18,11 @@ from gms_flex_control.discrepancy.findings import plausible_limit
 from gms_flex_control.discrepancy.fitting import (
     at_values,
     effect_columns,
+    extended,
+    fit,
     informative,
     numbers_of,
     prior_cost,
-    refitted,
     step_of,
     values_of,
 )
@@ -140,7 +141,8 @@ def _begun(result, holdout, say):
     likelihood = Likelihood(likelihood.motions, robot, likelihood.seed).with_noise(
         likelihood.noise)
     begin = likelihood.fitted(robot, np.zeros(len(likelihood.nuisances)))
-    yield _Learning(likelihood, measured(robot), begin, say, as_it_is=True), begin
+    yield _Learning(likelihood, measured(robot), begin, say, np.array(
+        [PLAUSIBLE * isinstance(one, OfRecording) for one in likelihood.nuisances])), begin
 
 
 def _is_closer(likelihood, gap, before):
@@ -153,11 +155,10 @@ def _is_closer(likelihood, gap, before):
 class _Learning:
     """The learning of terms for one robot, one after the other."""
 
-    def __init__(self, likelihood, measured, before, say, as_it_is=False):
+    def __init__(self, likelihood, measured, before, say, plausible=np.inf):
         self.likelihood, self._measured, self._say = likelihood, measured, say
         self._nuisances = likelihood.columns(before.robot, before.x, before.rows)
-        if as_it_is:
-            self._nuisances[[not isinstance(one, OfRecording) for one in likelihood.nuisances]] = 0
+        self._plausible = plausible  # standard deviations that nuisance parameters may go
         self._before = State(before, self._nuisances, effect_columns(
             likelihood, before.robot, before.x, before.rows, numbers_of(likelihood, before.robot)),
             -np.inf, PLAUSIBLE)
@@ -169,8 +170,13 @@ class _Learning:
 
     def state(self, model) -> State:
         """Return a model fitted again as a State."""
-        model, columns = refitted(self.likelihood, model, self._nuisances)
-        return state_of(self.likelihood, model, columns, self._count)
+        model = fit(self.likelihood, model.robot, model.x, self._nuisances,
+                    plausible=self._plausible)
+        return self._state(model, extended(self.likelihood, model, self._nuisances))
+
+    def _state(self, model, columns):
+        return state_of(self.likelihood, model, columns, self._count)._replace(
+            plausible=self._plausible)
 
     def run(self, state) -> tuple:
         """Return a State with terms, LearnedTerm of each, its Gap, words on a drift or ''."""
@@ -210,7 +216,8 @@ class _Learning:
         """Return the Gain of a candidate on blocks left out, over the model without it."""
         likelihood, change = self.likelihood, state.model.rows - one.state.model.rows
         return gain_of(likelihood, *((each.model, each.columns) for each in (one.state, state)),
-                       change, plausible_limit(likelihood, one.state.model))
+                       change, np.minimum(plausible_limit(likelihood, one.state.model),
+                                          self._plausible))
 
     def _closer(self, state, gap):
         """Return the Gap of a model if it is clearly less in torque and no more in free runs."""
@@ -266,7 +273,7 @@ class _Learning:
         for _ in range(_ITERATIONS):
             numbers = [one._replace(reach=np.inf)
                        for one in numbers_of(likelihood, model.robot)]
-            step = step_of(likelihood, model, columns, numbers)
+            step = step_of(likelihood, model, columns, numbers, plausible=self._plausible)
             other = likelihood.fitted(
                 at_values(model.robot, numbers, values_of(model.robot, numbers) + step[at:]),
                 model.x + step[:at])
@@ -274,7 +281,7 @@ class _Learning:
                     < model.cost + prior_cost(likelihood, model)):
                 break
             model = other
-        return _Candidate(state_of(likelihood, model, columns, self._count), state.columns)
+        return _Candidate(self._state(model, columns), state.columns)
 
 
 def _ranges(likelihood, j):
