@@ -241,7 +241,7 @@ class _Learning:
     def _candidates(self, state):
         """Return the best _Candidate of each kind and joint that a model lacks."""
         there = {(one.name, one.joint) for one in state.model.robot.effects}
-        found = []
+        found = {}
         for spec in self._begun:
             if (spec.name, spec.joint) in there:
                 continue
@@ -251,8 +251,10 @@ class _Learning:
                     here.append(self._fitted(state, _window(here[-1].spec, spec, zoom)))
                     if here[-1].state.evidence < here[-2].state.evidence:
                         break
-            found.append(max(here, key=lambda one: one.state.evidence))
-        return found
+            key = spec.name, spec.joint
+            here += [found[key]] if key in found else []
+            found[key] = max(here, key=lambda one: one.state.evidence)
+        return list(found.values())
 
     def _fitted(self, state, spec):
         """Return a _Candidate of a model with a term, all else re-tuned."""
