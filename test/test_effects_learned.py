@@ -5,7 +5,6 @@
 
 from dataclasses import replace
 import json
-from types import SimpleNamespace
 
 from bench.hidden_robots import outsiders
 from bench.hidden_robots.cases import make_case
