@@ -141,7 +141,7 @@ def _information(recordings, robot, missing):
 
     And which are wanted, dict of index to (kind, joint), and standard deviations of priors.
     """
-    likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot, cautious=True)
+    likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot)
     own = [k for k, one in enumerate(likelihood.nuisances) if not isinstance(one, OfRecording)]
     keys = [_key(robot, likelihood.nuisances[k]) for k in own]
     wanted = {i: key for i, key in enumerate(keys) if key in missing}
