@@ -174,7 +174,7 @@ def _drive_experiment(out, experiment):
     save_robot(experiment.believed, model, comment='The robot as it is believed to be before '
                f'identification: friction x {BELIEVED_FRICTION:g}.')
     step_loops(experiment.believed, experiment.believed, experiment.gains,
-                plan.trajectory(plan.experiments[0]))
+               plan.trajectory(plan.experiments[0]))
     joints = {step.joint for step in plan.experiments}
     say(f'{len(plan.experiments)} steps on {len(joints)} joints over DDS, '
         f'{plan.duration():.0f} s simulated')

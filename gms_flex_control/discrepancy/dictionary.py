@@ -192,8 +192,8 @@ class Dictionary:
     def _products(self, others):
         """Return the products (K, N) of columns with others (N, R), in double precision."""
         parts = (self.columns[k:k + _AT_ONCE] for k in range(0, len(self.columns), _AT_ONCE))
-        return np.concatenate(list(self._likelihood.pool.map(lambda part: part @ others.T,
-                                                             parts)))
+        return np.concatenate([np.empty((0, len(others))), *self._likelihood.pool.map(
+            lambda part: part @ others.T, parts)])
 
     def gains(self, model, columns, plausible=np.inf, even=False) -> tuple:
         """

@@ -50,7 +50,7 @@ class Band:
             minimum_filter1d(known.astype(float), ramp), ramp))[:, None]
 
     def spectra(self, residuals) -> np.ndarray:
-        """Return the spectra (..., F, C) of residuals (..., T, C) [N m]."""
+        """Return the spectra of residuals (..., T, C) [N m], shape (..., F, C)."""
         return np.fft.rfft(residuals * self._window, axis=-2)[..., :self.bins, :].copy()
 
 
@@ -289,7 +289,7 @@ class Grams:
         self._products = groups.products(ordered, ordered)
 
     def weighted(self, further, weight) -> np.ndarray:
-        """Return the products of fixed columns, then ``further`` (V, R), groups weighted (G,)."""
+        """Return products of fixed columns, then ``further`` (V, R), weights (G,) by group."""
         count = len(self.fixed)
         out = np.empty((count + len(further),) * 2)
         scaled = further * weight[self._group]

@@ -232,7 +232,7 @@ def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = N
     """
     weights, scale = np.ones(len(target)), 1.0
     for _ in range(_ROUNDS):
-        root = np.sqrt(weights) / scale
+        root = np.sqrt(weights) / (1.0 if group is None else scale)  # one scale changes nothing
         values = np.linalg.lstsq(columns * root[:, None], target * root, rcond=1e-10)[0]
         off = np.abs(target - columns @ values)
         scale = _scale(off) if group is None else np.array([

@@ -250,7 +250,7 @@ def _exchanged_angles(signals, robot, motion):
 
         def unlike(a, b):
             return 1 - spring_fit(motion.tau[:, a], motion.ddq_motor[:, a],
-                                   motion.q_motor[:, a] - motion.q_link[:, b])[0]
+                                  motion.q_motor[:, a] - motion.q_link[:, b])[0]
         judged = {i, j}.issubset(torque_joints(robot, motion))
         straight, crossed = ([unlike(i, i), unlike(j, j)], [unlike(i, j), unlike(j, i)]
                              ) if judged else ([0.0, 0.0], [1.0, 1.0])
@@ -292,7 +292,7 @@ def _exchanged_torques(signals, robot, motion):
         tau = motion.tau[:, torque]
         if j in springs:
             return spring_fit(tau, motion.ddq_motor[:, j],
-                               motion.q_motor[:, j] - motion.q_link[:, j])[0]
+                              motion.q_motor[:, j] - motion.q_link[:, j])[0]
         fits = balance_fit(motion, tau, total, j)
         return fits[0].as_is if fits else 0.0
 
