@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from gms_flex_control.file_io import share_path
 from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.mapping import ReadingError
+from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.schema.files import load_controller, load_robot, read_values
 from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory import builders
@@ -63,7 +64,7 @@ class Chain:
                   np.concatenate([[np.nan] * 2, self.plant.applied])]
         self.spoil(fields)
         arrived = self.now + int(self.rng.integers(50_000, 300_000))
-        foreseen = self.foresight.efforts(self.names, fields, self.now, arrived)
+        foreseen = self.foreseen = self.foresight.efforts(self.names, fields, self.now, arrived)
         self.bridge.take_state(0, self.names, *fields, self.now, arrived)
         robot = self.bridge.robot
         for name in ('q_link', 'dq_link', 'q_motor', 'dq_motor'):
@@ -82,8 +83,7 @@ class Chain:
         return self
 
 
-@pytest.mark.parametrize('compensation', ['none', 'gms', 'gms_paper', 'stribeck',
-                                          'disturbance_observer'])
+@pytest.mark.parametrize('compensation', COMPENSATIONS)
 def test_what_is_sent_ahead_is_what_follows_to_the_last_bit(compensation):
     chain = Chain(compensation, torque_rate=3.0, velocity_margin=20.0).settled()
     pairs = [chain.tick() for _ in range(2000)]
@@ -110,12 +110,18 @@ def faulty(chain):
     chain.health.fault = 'an exception'
 
 
+def silent(chain):
+    """Stay away for longer than a controller may, while the watch goes on."""
+    chain.now += 40_000_000
+    chain.bridge.robot.arrived = chain.bridge._watched = chain.now
+
+
 def other_clock(chain):
     chain.now += 10**9
 
 
 @pytest.mark.parametrize('change', [
-    fast, jumps, faulty, other_clock, lambda chain: chain.bridge.fault('a fault'),
+    fast, jumps, faulty, silent, other_clock, lambda chain: chain.bridge.fault('a fault'),
     lambda chain: chain.bridge.supervisor.stop('the button'),
     lambda chain: chain.follower.use(chain.gains), lambda chain: chain.follower.reset(),
     lambda chain: chain.bridge.take_torque_away(), lambda chain: chain.names.reverse(),
@@ -132,6 +138,7 @@ def test_nothing_is_sent_ahead_that_is_no_number():
     not_a_number(chain)
     with pytest.raises(ReadingError):
         chain.tick()
+    assert chain.foreseen is None
 
 
 def test_nothing_is_sent_ahead_for_a_frozen_encoder_or_without_reference():

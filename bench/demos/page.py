@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The report of `gms_flex demo-discrepancy`: gap and tracking before and after, and the truth."""
+"""The report of `bench demo-discrepancy`: gap and tracking before and after, and the truth."""
 
 from pathlib import Path
 from typing import Any, NamedTuple

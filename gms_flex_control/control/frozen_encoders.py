@@ -38,7 +38,7 @@ _FRICTION = 3.0
 # should have turned it since; torque now and before, NaN while unknown, and for how long they
 # differ by more than the limit; what was found
 _SAME, _STILL, _TURNED, _TORQUE, _BEFORE, _PUSHED, _FOUND = range(7)
-_BY_RATE, _BY_TORQUE, _TOLD = 1.0, 2.0, 3.0
+_BY_RATE, _BY_TORQUE, _REPORTED = 1.0, 2.0, 3.0
 
 
 @compiled
@@ -158,9 +158,9 @@ class FrozenEncoders:
                     measured.dq_motor, torque, dt, *self.expected):
             return None
         frozen = np.flatnonzero(self.memory[_FOUND])
-        for i in frozen[self.memory[_FOUND, frozen] < _TOLD]:
+        for i in frozen[self.memory[_FOUND, frozen] < _REPORTED]:
             self._sentences[i] = self._finding(i)
-            self.memory[_FOUND, i] = _TOLD
+            self.memory[_FOUND, i] = _REPORTED
         others = ', '.join(self._names[i] for i in frozen[1:])
         return self._sentences[frozen[0]] + (f'; so are {others}' if others else '')
 

@@ -193,12 +193,12 @@ class Bridge:
 
     # commands ------------------------------------------------------------------------------
 
-    def take_command(self, command, stamp, source, now) -> bool:
+    def take_command(self, command, stamp, source, now, sent=None) -> bool:
         """
         Take one command; return whether ``torque`` is to be sent to the robot.
 
         ``command`` (n_joints,) is finite [N m], ``stamp`` that of the state it answers or None,
-        ``source`` who commands.
+        ``source`` who commands, ``sent`` when its torque left if that was before ``now``.
         """
         controller, limits = self.controller, self.params.limits
         self.counters['commands in'] += 1
@@ -216,7 +216,8 @@ class Bridge:
         controller.refused = ''
         if not self.supervisor.active or (stamp is not None and stamp <= self._enabled):
             return False
-        elapsed = min((now - controller.given) / NANOSECONDS, LONGEST_RAMP)
+        sent = now if sent is None else sent
+        elapsed = min((sent - controller.given) / NANOSECONDS, LONGEST_RAMP)
         command, measured = np.array(command, dtype=float), self.robot.measured
         held = np.zeros(len(command), dtype=bool)
         controller.torque = limiting.limited(command, controller.torque, elapsed,
@@ -225,7 +226,7 @@ class Bridge:
         controller.held_back = [recently(share, one, elapsed) for share, one in zip(
             controller.held_back, held, strict=True)]
         self.counters['commands held back by torque_rate'] += any(held)
-        controller.given = now
+        controller.given = sent
         self.counters['commands acted on'] += 1
         return True
 

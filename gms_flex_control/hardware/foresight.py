@@ -16,10 +16,10 @@ import numpy as np
 def answer(merging, mapping, within, allowed, before, torque, given, watching, law, following,
            effort) -> bool:
     """
-    Write the ``effort`` (n_joints,) that bridge and controller come to, with nothing changed.
+    Write the ``effort`` (n_joints,) that bridge and controller would send, with nothing changed.
 
-    Return whether they come to one without a word: no limit is broken, no encoder frozen, a
-    reference is there. The rest is what they have: arguments of `merge`, as
+    Return False where they would report something: a broken limit, a frozen encoder, a missing
+    reference. The arguments are their states: those of `merge`, as
     `StateMerger.expected` returns them; `JointMap.arrays`; `Limits.within` and `allowed`;
     the state ``before`` (4, n_joints), the ``torque`` given then, when it came and for how long
     it may rise [ns]; and what `Follower.outlook` returns.

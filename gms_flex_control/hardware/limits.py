@@ -53,7 +53,7 @@ class Limits:
 
     @cached_property
     def allowed(self) -> tuple:
-        """Return the limits of torque, its rate, and speed and angles at which it is zero."""
+        """Return limits of torque, torque rate, speed and both angles, in the order of `limit`."""
         return self.torque, self.torque_rate, self.velocity, self.lower, self.upper
 
     def missing(self) -> list:

@@ -303,7 +303,7 @@ class _Fit:
         return Coupled(self._coupling, friction, spread,
                        np.where(self._arm.rigid, arm.motor_inertia, 0.0))
 
-    def loads(self) -> list:
+    def loads(self) -> dict:
         """Return the FoundLoads by recording."""
         covariance, found = self._covariance()[0][self._parts[3], self._parts[3]], {}
         for k, r in enumerate(self._unknown):

@@ -43,6 +43,7 @@ _SLOWEST = 0.05    # of the usual speed: below this a row does not count as movi
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _HUBER = 1.5       # residuals beyond this many standard deviations count less
 _ROUNDS = 8
+_OWN_SCALE = 50    # rows from which a group has a scale of its own: its median is within 15 %
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there
 _WORTH = 0.97      # of the held-out error: gravity or a ripple that helps less is not there
@@ -235,14 +236,23 @@ def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = N
         root = np.sqrt(weights) / (1.0 if group is None else scale)  # one scale changes nothing
         values = np.linalg.lstsq(columns * root[:, None], target * root, rcond=1e-10)[0]
         off = np.abs(target - columns @ values)
-        scale = _scale(off) if group is None else np.array([
-            _scale(off[group == one]) for one in range(group.max() + 1)])[group]
+        scale = _scale(off) if group is None else _scales(off, group)
         weights = np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-300))
     return weights, scale
 
 
 def _scale(off):
     return max(float(np.median(off)) / 0.6745, 1e-300) if len(off) else 1.0
+
+
+def _scales(off, group):
+    """Return the scale (S,) of each row's group, that of all where a group has few rows."""
+    scale = np.full(len(off), _scale(off))
+    for one in np.unique(group):
+        rows = group == one
+        if np.sum(rows) >= _OWN_SCALE:
+            scale[rows] = _scale(off[rows])
+    return scale
 
 
 def _solution(columns, rows):

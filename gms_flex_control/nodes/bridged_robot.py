@@ -68,28 +68,28 @@ class BridgedRobot(SupervisedRobot):
             try:
                 if self._foresight is not None:
                     self._send_ahead(names, (position, velocity, effort), stamp, now)
-                complete = bridge.take_state(source, names, position, velocity, effort, stamp,
-                                             now)
+                if bridge.take_state(source, names, position, velocity, effort, stamp, now):
+                    self._pass_on(bridge.robot)
             except ReadingError as error:
                 bridge.refuse_state(str(error))
                 self._health.warn('state', f'joint state refused: {error}')
-                complete, refused = False, True
-            if complete:
-                robot, controller = bridge.robot, bridge.controller
-                self._state_pub.publish(self._writer.write(
-                    robot.measured, robot.applied, robot.stamp))
-                if controller.lateness.share > NOTABLE:
-                    self._health.warn('late', f'{controller.lateness}: {LATE}')
-            if self._ahead is not None:  # the command has not come to that
-                self._send()
+                refused = True
+            finally:
+                if self._ahead is not None:  # the command has not come to that
+                    self._send()
             self._settle()
             if self._foresight is not None:
                 self._foresight.plan()
         return not refused
 
+    def _pass_on(self, robot):
+        self._state_pub.publish(self._writer.write(robot.measured, robot.applied, robot.stamp))
+        if self._bridge.controller.lateness.share > NOTABLE:
+            self._health.warn('late', f'{self._bridge.controller.lateness}: {LATE}')
+
     def _on_command(self, message):
         """Return whether the message is a command, to be obeyed or not."""
-        now, bridge = self._ahead[1] if self._ahead else self.now(), self._bridge
+        now, bridge = self.now(), self._bridge
         stamp, source = messages.read_marks(message)
         with self._lock:
             try:
@@ -98,7 +98,8 @@ class BridgedRobot(SupervisedRobot):
                 bridge.refuse_command(str(error))
                 self._health.warn('command', f'command refused: {error}')
                 return False
-            if bridge.take_command(torque, stamp, source, now):
+            sent = None if self._ahead is None else self._ahead[1]
+            if bridge.take_command(torque, stamp, source, now, sent):
                 self._send()
             self._settle()
         return True
@@ -107,9 +108,8 @@ class BridgedRobot(SupervisedRobot):
 
     def _send_ahead(self, names, fields, stamp, now):
         efforts = self._foresight.efforts(names, fields, stamp, now)
-        if efforts is not None:
+        if efforts is not None and self._write(efforts):
             self._ahead = efforts, now
-            self._write(efforts)
             self._bridge.counters['efforts sent ahead'] += 1
 
     def _send(self):
@@ -122,11 +122,14 @@ class BridgedRobot(SupervisedRobot):
         self._write(efforts)
 
     def _write(self, efforts):
+        """Return whether the link took the efforts; a fault begins where it did not."""
         self._sent = self.now()
         try:
             self._link.write(efforts)
         except self._link.errors as error:
             self._bridge.fault(str(error))
+            return False
+        return True
 
     def _settle(self):
         """Say what has changed; without torque, send zero at once."""

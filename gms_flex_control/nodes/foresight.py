@@ -61,6 +61,7 @@ class Foresight:
         if not (self._outlook and bridge.supervisor.active
                 and self._changes == self._follower.changes and self._torque is bridge.torque
                 and bridge.looked(now) < STOOD_STILL * NANOSECONDS
+                and not bridge.controller.silent(now, bridge.params.silence_timeout)
                 and not any(health.fault for health in self._healths)):
             return None
         merging = bridge.robot.merger.expected(names, fields, stamp, now)
