@@ -12,7 +12,7 @@ where all is as it was. Both then do their work as ever, and have the last word.
 from array import array
 
 from gms_flex_control.hardware.bridge import LONGEST_RAMP, RobotSide
-from gms_flex_control.hardware.foresight import answer
+from gms_flex_control.hardware.effort_ahead import answer
 from gms_flex_control.hardware.mapping import NANOSECONDS
 from gms_flex_control.hardware.supervision import STOOD_STILL
 import numpy as np
