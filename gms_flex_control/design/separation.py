@@ -162,7 +162,7 @@ def beliefs_of(recordings: Sequence[Recording], robot: RobotParams,
         If the recordings do not allow one of the effects.
 
     """
-    likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot)
+    likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot, cautious=True)
     model, _ = retuned(likelihood, robot, np.zeros(len(likelihood.nuisances)))
     likelihood = likelihood.with_noise(white_noise(likelihood, model))
     base, nuisances = retuned(likelihood, robot, model.x, PLAUSIBLE)
@@ -333,7 +333,7 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
                   for plan, run in runs]
     for a, recording in enumerate(recordings):
         motions = [*so_far.motions, motion_of(recording, beliefs.robot)]
-        likelihood = Likelihood(motions, beliefs.robot, seed).with_noise(noise)
+        likelihood = Likelihood(motions, beliefs.robot, seed, cautious=True).with_noise(noise)
         states = [_state(likelihood, one, so_far.nuisances) for one in beliefs.hypotheses]
         odds[a] = log_odds(likelihood, [one.model for one in states],
                            [one.evidence for one in states])[a]

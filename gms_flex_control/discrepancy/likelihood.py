@@ -89,10 +89,13 @@ class Likelihood:
     held_out : bool
         Whether models are fitted to other recordings: what is particular about these ones is
         not known.
+    cautious : bool
+        Whether derivatives count only where they are not mostly encoder noise, as those by the
+        inertia of a joint that stands: else the noise of two null simulations may steer a fit.
 
     """
 
-    def __init__(self, motions, robot, seed=0, widened=1.0, held_out=False):
+    def __init__(self, motions, robot, seed=0, widened=1.0, held_out=False, cautious=False):
         self.motions, self.robot, self.seed = tuple(motions), robot, seed
         prior = {kind: widened * sd for kind, sd in PRIOR.items()}
         stated = {(kind, robot.joints.index(joint) if joint in robot.joints else -1):
@@ -102,6 +105,7 @@ class Likelihood:
         self.sd = np.array([one.sd for one in self.nuisances])
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
         self._scales, self._held_out = scales_of(self.motions, robot), held_out
+        self._cautious = cautious
         self._simulate(robot, np.zeros(len(self.nuisances)))
 
     @property
@@ -167,7 +171,8 @@ class Likelihood:
                 self, self._null.robot, self._null.x,
                 [[self._joined(whitening.rows_of_spectra(one) for whitening, one in zip(
                     self.whitenings, run, strict=True)) for run in pair]
-                 for pair in self._null.by_step])
+                 for pair in self._null.by_step],
+                self._cautious)
 
     def torque_noise(self, m, rng, size=None) -> np.ndarray:
         """Return the residual torque (S, 2 n) of white torque noise in a recording."""

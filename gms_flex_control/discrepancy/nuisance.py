@@ -21,6 +21,7 @@ import numpy as np
 
 PRIOR = {kind: one.sd for kind, one in KINDS.items()}  # relative standard deviations
 LARGEST = 0.8     # relative change: nothing that a model has vanishes altogether
+OF_SHAPE = ('static', 'velocity', 'attraction', 'blocks')  # residuals are not linear in them
 _CARRIED = {'planar': ('coupling', 'moment'), 'urdf': ('mass', 'inertia')}  # of links
 _PROBE = 0.01     # relative change that shows what effects make of them
 

@@ -21,6 +21,7 @@ from typing import NamedTuple
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.discrepancy.motion import encoder_step, make_motion, Motion
+from gms_flex_control.discrepancy.nuisance import OF_SHAPE
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.whitening import Grams
 from gms_flex_control.dynamics.chain import own_inertia
@@ -143,10 +144,12 @@ class EncoderNoise:
         Of the null simulations.
     by_step : sequence of pair of ndarray, shape (R,)
         Of both with each nuisance parameter `NUISANCE_STEP` off; the last pair as simulated.
+    cautious : bool
+        Whether no derivative is known where it is mostly noise.
 
     """
 
-    def __init__(self, likelihood, robot, x, by_step):
+    def __init__(self, likelihood, robot, x, by_step, cautious=False):
         self._groups, self._known = likelihood.groups, likelihood.known
         self._robot, self._x = robot, x
         self._begun = by_step[-1]
@@ -156,6 +159,8 @@ class EncoderNoise:
         self._informative = np.empty((len(x), len(self.own_sums)), dtype=bool)
         for i, pair in enumerate(by_step[:-1]):
             self._by_nuisance[i], self._informative[i] = self._shown(pair, NUISANCE_STEP)
+        self._shapes = np.array([cautious or one.name in OF_SHAPE for one in likelihood.nuisances],
+                                dtype=bool)
         self.grams = Grams(self._groups, self.known(self._by_nuisance))
         self._by_effect = {}  # (effect, joint): as `_shown`, a row for each parameter
 
@@ -217,14 +222,13 @@ class EncoderNoise:
 
     def known(self, columns) -> np.ndarray:
         """
-        Return columns (C, R), those by nuisance parameters 0 in residuals of mostly noise.
+        Return columns (C, R), 0 in residuals of mostly noise that is known to first order only.
 
-        As those by the inertia of a joint that stands: the noise of two null simulations is no
-        guide.
+        That is where residuals are not linear in a nuisance parameter.
         """
         known = columns.copy()
-        for row, informative in zip(known, self._informative, strict=False):
-            row *= informative[self._groups.group]
+        for i in np.flatnonzero(self._shapes):
+            known[i] *= self._informative[i][self._groups.group]
         return known
 
     def columns(self, robot, numbers) -> np.ndarray:
