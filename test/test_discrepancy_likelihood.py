@@ -140,6 +140,25 @@ def test_noise_is_foreseen_of_a_robot_without_what_null_simulations_have(robot, 
     assert np.std(foreseen - exact) < 0.01 * np.std(exact - heavy.encoder_noise.own)
 
 
+def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, gains):
+    """Three numbers tell what both links weigh, however a payload and beliefs make them up."""
+    coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
+    likelihood = Likelihood([driven_motion(coarse, gains)], robot)
+    spec = EffectSpec(name='tip_payload', joint='arm', values=(0.1,))
+    likelihood.encoder_noise.learn(likelihood, spec, [(0, (0.1,))])
+    heavy = with_effect(robot, replace(spec, values=(0.3,)))
+    bodies, carried = (likelihood.constants(one, np.zeros(len(likelihood.nuisances))).chain.coupling
+                       for one in (robot, heavy))
+    added = carried / bodies - 1.0
+    x = np.array([{('inertia', 0): added[0, 0], ('inertia', 1): added[1, 1],
+                   ('inertia', -1): added[0, 1]}.get((one.name, one.joint), 0.0)
+                  for one in likelihood.nuisances])
+    half = likelihood.fitted(with_effect(robot, replace(spec, values=(0.15,))), 0.5 * x)
+    for model in (likelihood.fitted(robot, x), likelihood.fitted(heavy, 0.0 * x)):
+        np.testing.assert_allclose(model.rows, half.rows, atol=1e-6)
+        np.testing.assert_allclose(model.sums.groups, half.sums.groups, rtol=1e-6)
+
+
 def test_what_sticks_is_measured_by_the_noise_of_what_sticks():
     """A motor that holds by dry friction creeps unseen: the true model misses torque there."""
     case = make_case('single', 45, duration=20.0)

@@ -97,6 +97,7 @@ class Likelihood:
 
     def __init__(self, motions, robot, seed=0, widened=1.0, held_out=False, cautious=False):
         self.motions, self.robot, self.seed = tuple(motions), robot, seed
+        self._own = plant.constants_of(replace(robot, effects=()))
         prior = {kind: widened * sd for kind, sd in PRIOR.items()}
         stated = {(kind, robot.joints.index(joint) if joint in robot.joints else -1):
                   widened * sd for (kind, joint), sd in robot.uncertainty.items()}
@@ -244,7 +245,7 @@ class Likelihood:
     def constants(self, robot, x) -> np.record:
         """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
         mine = x[:len(self.nuisances)]  # recordings held out have none of their own
-        return tuned(plant.constants_of(robot), self.nuisances, mine)
+        return tuned(plant.constants_of(robot), self.nuisances, mine, self._own)
 
     def recorded(self, motions, x) -> list:
         """Return motions cleared of what nuisance parameters (P,) make particular about each."""

@@ -23,7 +23,9 @@ PRIOR = {kind: one.sd for kind, one in KINDS.items()}  # relative standard devia
 LARGEST = 0.8     # relative change: nothing that a model has vanishes altogether
 OF_SHAPE = ('static', 'velocity', 'attraction', 'blocks')  # residuals are not linear in them
 _CARRIED = {'planar': ('coupling', 'moment'), 'urdf': ('mass', 'inertia')}  # of links
+_OF_LINKS = frozenset(name for names in _CARRIED.values() for name in names)
 _PROBE = 0.01     # relative change that shows what effects make of them
+_TURNS = 3        # of the search for what they are without effects
 
 
 class _Kind(NamedTuple):
@@ -54,10 +56,18 @@ class Nuisance(NamedTuple):
     fields: tuple         # of (part, field, index) of the kernels' record
     signs: tuple          # +1 or -1 for each field
 
-    def apply(self, boxed, value) -> None:
-        """Change a boxed record of simulation.plant.constants_of in place by ``value``."""
+    def apply(self, boxed, value, own) -> None:
+        """
+        Change a boxed record of simulation.plant.constants_of in place by ``value``.
+
+        Of links that is a share of what they are in the record ``own``, without effects: what is
+        known of a link says nothing of its payload, and the sum is linear in both.
+        """
         for (part, field, index), sign in zip(self.fields, self.signs, strict=True):
-            boxed[part][field][0][index] *= 1.0 + sign * value
+            if field in _OF_LINKS:
+                boxed[part][field][0][index] += sign * value * own[part][field][index]
+            else:
+                boxed[part][field][0][index] *= 1.0 + sign * value
 
 
 class RotorNuisance(NamedTuple):
@@ -68,7 +78,7 @@ class RotorNuisance(NamedTuple):
     name = 'motor_inertia'
     fields = (('chain', 'motor_inertia', ...), ('chain', 'rigid_inertia', ...))
 
-    def apply(self, boxed, value) -> None:
+    def apply(self, boxed, value, own) -> None:
         """Change a boxed record of simulation.plant.constants_of in place by ``value``."""
         own, seen, inverse = (boxed['chain'][name][0] for name in (
             'motor_inertia', 'rigid_inertia', 'inverse'))
@@ -91,7 +101,7 @@ class OfRecording(NamedTuple):
     unit: float           # of the kind [rad], [N m], 1 or [samples]
     fields = ()
 
-    def apply(self, boxed, value) -> None:
+    def apply(self, boxed, value, own) -> None:
         """Leave a record of simulation.plant.constants_of as it is: no robot has it."""
 
     def words(self, joints, value) -> str:
@@ -194,12 +204,16 @@ def nuisances_of(constants, prior, stated=None) -> tuple:
     return tuple(found)
 
 
-def tuned(constants, nuisances, values) -> np.record:
-    """Return a copy of constants with nuisance parameters at ``values`` (P,)."""
+def tuned(constants, nuisances, values, own=None) -> np.record:
+    """
+    Return a copy of constants with nuisance parameters at ``values`` (P,).
+
+    ``own`` are the constants without effects, default the same.
+    """
     boxed = records.boxed(constants)
     for nuisance, value in zip(nuisances, values, strict=True):
         if value != 0.0:
-            nuisance.apply(boxed, value)
+            nuisance.apply(boxed, value, constants if own is None else own)
     return boxed[0]
 
 
@@ -209,19 +223,30 @@ def with_nuisances(robot, nuisances, x) -> RobotParams:
 
     Its record is that of `tuned`.
     """
-    wanted = tuned(plant.constants_of(robot), nuisances, x).chain
-    record = tuned(plant.constants_of(replace(robot, effects=())), nuisances, x)
-    # a nuisance parameter scales what a link carries with all that effects make of it, such as
-    # a payload's share; what they make of it is affine in what it is without them
+    own = plant.constants_of(replace(robot, effects=()))
+    wanted, record = tuned(plant.constants_of(robot), nuisances, x, own).chain, tuned(
+        own, nuisances, x)
+    # some effects scale what a link is, and so what nuisance parameters add; what effects make of
+    # it is affine in what it is without them, unless a mass must give way
     names = _CARRIED['urdf' if robot.arm.frames else 'planar']
-    whole, other = _carried(names, robot, record), record.copy()
-    for name in names:
-        getattr(other.chain, name)[...] *= 1.0 + _PROBE
-    for name, one, two in zip(names, whole, _carried(names, robot, other), strict=True):
-        own = getattr(record.chain, name)
-        slope = np.divide(two - one, _PROBE * own, out=np.ones_like(own), where=own != 0.0)
-        own += (getattr(wanted, name) - one) / slope
+    for _ in range(_TURNS):
+        whole, other = _carried(names, robot, record), record.copy()
+        for name in names:
+            getattr(other.chain, name)[...] *= 1.0 + _probe(name, robot.n_joints)
+        for name, one, two in zip(names, whole, _carried(names, robot, other), strict=True):
+            own = getattr(record.chain, name)
+            change = _probe(name, robot.n_joints) * own
+            own += (getattr(wanted, name) - one) / np.divide(
+                two - one, change, out=np.ones_like(own), where=change != 0.0)
     return _with_record(robot, record)
+
+
+def _probe(name, joints):
+    """Return relative changes of a field of links with which each keeps its mass."""
+    moments = np.sqrt(1.0 + _PROBE) - 1.0
+    if name == 'coupling':
+        return np.where(np.eye(joints, dtype=bool), _PROBE, moments)
+    return moments if name == 'moment' else _PROBE
 
 
 def _carried(names, robot, record):
