@@ -12,6 +12,7 @@ from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
 
@@ -147,8 +148,7 @@ def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, gain
     spec = EffectSpec(name='tip_payload', joint='arm', values=(0.1,))
     likelihood.encoder_noise.learn(likelihood, spec, [(0, (0.1,))])
     heavy = with_effect(robot, replace(spec, values=(0.3,)))
-    bodies, carried = (likelihood.constants(one, np.zeros(len(likelihood.nuisances))).chain.coupling
-                       for one in (robot, heavy))
+    bodies, carried = (plant.constants_of(one).chain.coupling for one in (robot, heavy))
     added = carried / bodies - 1.0
     x = np.array([{('inertia', 0): added[0, 0], ('inertia', 1): added[1, 1],
                    ('inertia', -1): added[0, 1]}.get((one.name, one.joint), 0.0)
