@@ -6,14 +6,16 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-from discrepancy_runs import driven_motion
+from discrepancy_runs import driven_motion, retuned_of
 from gms_flex_control.discrepancy.evidence import (
     credible,
+    is_of_other_size,
     log_determinant,
     posterior,
     State,
     state_of,
 )
+from gms_flex_control.discrepancy.fitting import extended
 from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums, with_effect
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.params.robot import EffectSpec
@@ -97,6 +99,23 @@ def test_a_softer_spring_has_less_density_where_noise_is_not_of_encoders(robot, 
     torsions = np.sum(likelihood.groups.channel == 3)  # of two joints, link equations first
     assert log_determinant(likelihood, replace(model, sums=sums)) == pytest.approx(
         torsions * (1.0 - 1.0 / level) * np.log1p(ratio), rel=1e-3, abs=1e-9)
+
+
+def test_a_saturation_takes_all_that_is_beyond_its_limit(robot, gains):
+    """Of a drive that gives half of what is beyond, a saturation would have to be smaller."""
+    limit = 0.12
+    saturation = with_effect(robot, EffectSpec(name='actuator_saturation', joint='joint2',
+                                               values=(limit,)))
+    whole, free = (driven_motion(one, gains, seed=1, duration=10.0)
+                   for one in (saturation, robot))
+    asked = free.command.copy()
+    asked[:, 1] += asked[:, 1] - np.clip(asked[:, 1], -limit, limit)
+    for motion, half in ((whole, False), (free.with_torque(asked), True)):
+        likelihood = Likelihood([motion], robot)
+        model = likelihood.fitted(saturation, np.zeros(len(likelihood.sd)))
+        columns = extended(likelihood, model, retuned_of(likelihood)[1])
+        assert np.mean(np.abs(motion.command[:, 1]) > limit) > 0.05
+        assert is_of_other_size(likelihood, model, columns, 50) == half
 
 
 def state(evidence, *effects):

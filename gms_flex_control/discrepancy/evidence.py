@@ -19,11 +19,13 @@ from gms_flex_control.discrepancy.fitting import (
     prior_cost,
     prior_of,
     solve,
+    without,
 )
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.residuals import fresh_state
-from gms_flex_control.discrepancy.thresholds import CREDIBLE
+from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, OTHER_SIZE
 from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects.registry import find
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -231,3 +233,20 @@ class NormalEquations:
         low, high = self._limits
         return self._least(gram, slope, whole(self._noise, noise), whole(self.prior.pull, pull),
                            whole(low, lowest), whole(high, highest))
+
+
+def is_of_other_size(likelihood, model, columns, hypotheses) -> bool:
+    """
+    Return whether an effect of one size that was added would have to be of another one.
+
+    What it does, scaled by any factor, then has more evidence, odds of ``hypotheses`` included.
+    """
+    for i, spec in enumerate(model.robot.effects[likelihood.known:], start=likelihood.known):
+        if find(spec.name).of_one_size:
+            normal = NormalEquations(likelihood, model, columns)
+            least = normal.beside(
+                (model.rows - without(likelihood, model, columns, i)[0].rows)[None])
+            if (abs(least.added[0]) > OTHER_SIZE and normal.alone.cost - least.cost
+                    > EVIDENCE + 2.0 * np.log(max(hypotheses, 2))):
+                return True
+    return False

@@ -168,8 +168,18 @@ def judged(likelihood, found) -> tuple:
 
 
 def predictive(likelihood, found, worths, held_out) -> tuple:
-    """Return the search's end without effects that worsen HeldOut prediction, and its Worths."""
+    """
+    Return the search's end without effects that worsen HeldOut prediction, and its Worths.
+
+    Nor with those of one size that hardly act here: where they act, they would do much.
+    """
     while worths:
+        hardly = next((one.index for one in worths if find(
+            found.best.model.robot.effects[one.index].name).of_one_size and not _lessened(
+                likelihood, found, one, held_out)[2]), None)
+        if hardly is not None:
+            found, worths = _pruned(likelihood, _dropped(likelihood, found, hardly))
+            continue
         energy = held_out.energy(found.best)
         if len(worths) == 1:
             break
@@ -179,6 +189,18 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
             break
         found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
     return _alone(likelihood, found, worths, held_out)
+
+
+def _lessened(likelihood, found, one, held_out):
+    """
+    Return by how much an effect, a Worth, lessens the residual torque of HeldOut data.
+
+    Without it and with it, (n,) each [N m], and whether that matters in practice.
+    """
+    before, after = held_out.torque(one.rest._replace(model=one.less, plausible=plausible_limit(
+        likelihood, found.best.model))), held_out.errors(found.best).torque
+    better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
+    return before, after, bool(np.any(better >= PRACTICAL))
 
 
 def predicting_subset(likelihood, found, held_out) -> State:
@@ -331,18 +353,16 @@ def findings_of(likelihood, found, worths, held_out) -> list:
     """
     models = posterior(found.tried, likelihood.known)
     whole = max(found.before.model.cost - found.best.model.cost, 1e-12)
-    limit = plausible_limit(likelihood, found.best.model)
-    after, out = held_out.torque(found.best), []
+    out = []
     for one in worths:
+        before, after, main = _lessened(likelihood, found, one, held_out)
         spec = found.best.model.robot.effects[one.index]
         others, kind = _rivals(found, one, spec), find(spec.name)
         alike = {name for name, _, share in others if share > _ALIKE or (
             name in kind.confusable and share > kind.declared_from)}
-        before = held_out.torque(one.rest._replace(model=one.less, plausible=limit))
-        better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
         out.append(Finding(
             effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),
-            main=bool(np.any(better >= PRACTICAL)), torque=one.torque,
+            main=main, torque=one.torque,
             share=min(one.loss / whole, 1.0), score=one.evidence, held_out=one.gain,
             probability=float(sum(mass for names, mass in models
                                   if (spec.name, spec.joint) in names)),

@@ -12,7 +12,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of
-from gms_flex_control.discrepancy.evidence import State, state_of
+from gms_flex_control.discrepancy.evidence import is_of_other_size, State, state_of
 from gms_flex_control.discrepancy.fitting import (
     extended,
     fit,
@@ -128,7 +128,8 @@ class _Search:
         shared = np.array_equal(state.nuisances, self.nuisances)
         state = state._replace(nuisances=self.nuisances if shared else state.nuisances.copy(),
                                own=state.own.copy())
-        if self._is_at_limit(model):
+        if self._is_at_limit(model) or is_of_other_size(
+                self._likelihood, model, columns, self.hypotheses):
             state = state._replace(evidence=-np.inf)  # where the search ends is no value
         key = state.key(self._known)
         if key not in self.tried or state.evidence > self.tried[key].evidence:

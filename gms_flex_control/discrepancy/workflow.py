@@ -127,7 +127,7 @@ def _compared(motions, holdout, robot, options, say):
     gap = held_out.gap(found.before, found.best)
     left = _left_over(likelihood, found.best.model, free, gap, held_out.other)
     if left is not None:
-        findings = [one for one in findings if not left.is_of(one)]
+        findings = [one for one in findings if free is not None or not left.is_of(one)]
         if not (any(one.main for one in findings) and _may_be_named(gap)):
             findings = []  # they only resemble some of it
     more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
@@ -243,7 +243,8 @@ def _written(likelihood, found, whole, held_out, further, main):
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
     for state in sorted(found.tried, key=lambda state: -state.evidence):
-        if np.all(np.abs(state.model.x) / likelihood.sd <= limit):
+        if np.isfinite(state.evidence) and np.all(
+                np.abs(state.model.x) / likelihood.sd <= limit):
             best.setdefault(len(state.key(known)), state)
 
     def is_safe(state):

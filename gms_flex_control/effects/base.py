@@ -73,6 +73,7 @@ class Effect(ABC):
     needs_commands = False    # what is measured as torque has passed it already
     needs_chain = False       # requires links that carry each other
     of_recording = False      # an error of the recording, not of the robot
+    of_one_size = False       # takes all of something: what takes more or less is no such effect
     needs_supply = False      # requires a recorded voltage of the supply
     least_is_value = False    # the least value searched for is where physics ends
     fed_forward = False       # a torque that follows smoothly from what a controller measures

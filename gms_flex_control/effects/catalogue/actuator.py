@@ -59,6 +59,7 @@ class ActuatorSaturation(Term):
     evidence = 'torque'
     discriminated_by = 'faster motion, which asks for torque well beyond the limit'
     needs_commands = True
+    of_one_size = True
     parameters = (Parameter('limit', 'N m', 'largest torque either way', lower=0.0),)
     guesses = staticmethod(lambda s: sizes(s.torque * np.linspace(0.2, 0.95, 16)))
 
