@@ -5,9 +5,12 @@
 
 from dataclasses import replace
 
-from core_runs import scaled_friction
+from core_runs import scaled_friction, single_axis
+from discrepancy_runs import FRICTIONLESS
 from gms_flex_control.data.recording import Phase
+from gms_flex_control.identification.friction_map import friction_map
 from gms_flex_control.identification.identify import Data, identify, Options
+from gms_flex_control.identification.segments import Segment
 from identified_axis import axis, experiment, JOINT, part, STATIC, without_phases, YIELDS
 import numpy as np
 import pytest
@@ -40,6 +43,24 @@ def steady_errors(friction):
     return {f'{side}.{name}': float(getattr(getattr(friction, side), name)[0]
                                     / getattr(getattr(truth, side), name)[0] - 1.0)
             for side in ('forward', 'backward') for name in NAMES}
+
+
+@pytest.mark.parametrize('frequency', [0.5, 6.0])
+def test_friction_is_seen_where_no_quarter_second_goes_one_way(frequency):
+    """Coulomb friction of 0.3 N m both ways, also of motion that turns twelve times a second."""
+    time, turn = np.arange(3000) * 1e-3, 2.0 * np.pi * frequency
+    angle, rate = np.sin(turn * time)[:, None], turn * np.cos(turn * time)[:, None]
+    inertia, friction = 0.02, 0.3
+    held = np.diff(rate, axis=0, append=rate[-1:]) / 1e-3  # the mean to the next sample
+    torque = inertia * held + friction * np.sign(rate)
+    segment = Segment(begin=0.0, angle=angle, rate=rate, acceleration=-turn ** 2 * angle,
+                      torque=torque, tested=np.ones_like(rate, dtype=bool),
+                      phase=np.full(len(time), ''), source='sine')
+    found = friction_map([segment], single_axis(FRICTIONLESS, inertia).arm, 0, 1e-3, 1e-6)
+    for way in (1.0, -1.0):
+        rows = way * found.velocity > 0.0
+        assert rows.sum() >= 3
+        np.testing.assert_allclose(np.median(found.torque[rows]), way * friction, rtol=0.02)
 
 
 def assert_recovered(found):

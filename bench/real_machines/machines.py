@@ -186,7 +186,7 @@ MACHINES = {machine.name: machine for machine in (
     Machine(
         name='odri_motor', title='ODRI motor', folder='odri_motor',
         import_map=HERE / 'maps' / 'odri_motor.yaml', joint='motor', belief='odri_motor.yaml',
-        estimate='friction', unit='mA', factor=1e3, wide=100.0,
+        estimate='all', unit='mA', factor=1e3, wide=100.0,
         known=(Known('cogging', ('torque_ripple',)),),
         # the position slips by half a radian and more up to 8.77 s, the other's at 8.48 s
         splits=(Split('acceleration, then speed control', (Piece('acceleration.csv', 8.8),),

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.optimize import least_squares, nnls
 
 N_SPREAD = 8        # blocks with fixed yields that find the shape of the presliding curve
-_WINDOW = 0.25      # of one point of the map [s]
+_WINDOW = 0.25      # of one point of the map, at most [s]
+_SHORTEST = 4       # samples of one
 _UNSTEADY = 0.25    # relative change of velocity within a window that still counts as steady
 _SLOWEST_STEPS = 3  # encoder steps a window must travel
 _FEWEST = 4         # points of a direction for a Stribeck curve; below, Coulomb and viscous only
@@ -70,8 +71,22 @@ def friction_torque(segment: Segment, arm: ArmParams) -> np.ndarray:
 
 def friction_map(segments: Sequence[Segment], arm: ArmParams, joint: int, period: float,
                  half: float) -> FrictionMap:
-    """Return the friction of one joint in short windows of motion in one direction."""
-    size = max(round(_WINDOW / period), 4)
+    """
+    Return the friction of one joint in short windows of motion in one direction.
+
+    Of a quarter second, or shorter where the motion turns around too often for them.
+    """
+    size, judge = max(round(_WINDOW / period), _SHORTEST), any
+    while True:
+        found = _in_windows(segments, arm, joint, period, half, size)
+        if size == _SHORTEST or judge(np.sum(way * found.velocity > 0.0) >= _FEWEST_WINDOWS
+                                      for way in (1.0, -1.0)):
+            return found
+        size, judge = max(size // 2, _SHORTEST), all
+
+
+def _in_windows(segments, arm, joint, period, half, size):
+    """Return the friction in windows of ``size`` samples."""
     rows = []
     for segment in segments:
         torque = friction_torque(segment, arm)[:, joint]
@@ -88,7 +103,7 @@ def friction_map(segments: Sequence[Segment], arm: ArmParams, joint: int, period
         one_way = (np.abs(rates).min(axis=1) > 0.0) & (np.abs(np.sign(rates).sum(axis=1)) == size)
         good = one_way & (travel > 2 * _SLOWEST_STEPS * half) & tested[cut].reshape(
             count, size).all(axis=1)
-        steady = spread < _UNSTEADY * np.abs(mean) + 4.0 * half / _WINDOW
+        steady = spread < _UNSTEADY * np.abs(mean) + 4.0 * half / (size * period)
         middle = torque[cut].reshape(count, size).mean(axis=1)
         rows.append(np.stack([mean, middle, steady], axis=1)[good])
     table = np.concatenate(rows) if rows else np.zeros((0, 3))
@@ -157,8 +172,8 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
             rows &= friction_map.steady
         if rows.sum() < _FEWEST_WINDOWS:
             raise IdentificationError(
-                f'{source}: {joint} moves {name} in {rows.sum()} windows of a quarter second '
-                f'only; friction has two directions: record motion both ways')
+                f'{source}: {joint} moves steadily {name} {rows.sum()} times only; friction has '
+                'two directions: record motion both ways')
         torque = sign * friction_map.torque[rows]
         if np.median(torque) <= 0.0 and level is not None:
             warnings.warn(
