@@ -6,8 +6,8 @@
 from dataclasses import replace
 
 from core_runs import single_axis
-from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import registry, table
+from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.effects.catalogue.reading import torque_at_angles
 from gms_flex_control.friction import gms
