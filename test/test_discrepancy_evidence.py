@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from discrepancy_runs import driven_motion, retuned_of
 from gms_flex_control.discrepancy.evidence import (
     credible,
+    doubted,
     is_of_other_size,
     log_determinant,
     posterior,
@@ -147,3 +148,19 @@ def test_the_credible_set_is_the_smallest_that_holds_enough(shares, mass, count)
     chosen = credible(models, mass)
     assert chosen == models[:count]
     assert sum(shares[:count]) >= mass > sum(shares[:count - 1])
+
+
+def test_what_held_out_data_deny_counts_no_more_than_what_is_left():
+    """Evidence of 30 for an effect that predicts worse: even odds, and others as they were."""
+    def state(evidence, *names):
+        return State(SimpleNamespace(robot=SimpleNamespace(effects=[
+            SimpleNamespace(name=name, joint='j') for name in names])), None, None, evidence)
+    kept = [state(10.0), state(4.0, 'lag')]
+    tried = [*kept, state(40.0, 'play'), state(34.0, 'play', 'lag')]
+    odds = dict(posterior(doubted(kept, tried, 0), 0))
+    play, lag = (('play', 'j'),), (('lag', 'j'),)
+    assert odds[frozenset(play)] == pytest.approx(odds[frozenset()])
+    for other, one in ((lag, ()), (play + lag, play)):
+        assert odds[frozenset(other)] == pytest.approx(np.exp(-3.0) * odds[frozenset(one)])
+    faint = [*kept, state(2.0, 'play')]
+    assert posterior(doubted(kept, faint, 0), 0) == posterior(faint, 0)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, driven_motion, likelihood_of
+from gms_flex_control.discrepancy.fitting import fit
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
@@ -157,6 +158,40 @@ def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, gain
     for model in (likelihood.fitted(robot, x), likelihood.fitted(heavy, 0.0 * x)):
         np.testing.assert_allclose(model.rows, half.rows, atol=1e-6)
         np.testing.assert_allclose(model.sums.groups, half.sums.groups, rtol=1e-6)
+
+
+def test_a_fit_ends_with_what_encoder_noise_truly_adds(robot, gains):
+    """Blocks that give way are not linear in how soft they are; the cost is that of evidence."""
+    coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
+    soft = EffectSpec(name='presliding_error', joint=robot.joints[1], values=(-0.5, 0.0))
+    likelihood = Likelihood([driven_motion(with_effect(coarse, soft), gains)], robot)
+    probe = (-0.1, 0.0)
+    likelihood.encoder_noise.learn(likelihood, replace(soft, values=probe), [(0, probe)])
+    x = np.zeros(len(likelihood.nuisances))
+    begin = likelihood.fitted(with_effect(robot, replace(soft, values=(-0.7, 0.0))), x)
+    columns = likelihood.columns(robot, x, likelihood.rows(robot, x))
+    found = fit(likelihood, begin.robot, x, columns)
+    exact = likelihood.exact(begin)
+    assert abs(exact.cost - begin.cost) > 10.0
+    assert found.cost == likelihood.exact(found).cost < exact.cost
+    ratio, tilt = found.robot.effects[0].values
+    near = replace(soft, values=(ratio + 1e-6, tilt))
+    other = likelihood.fitted(with_effect(robot, near), found.x)
+    assert other.cost == pytest.approx(found.cost, abs=1.0)
+
+
+def test_noise_of_an_effect_at_its_bound_is_learned_the_other_way(robot, gains):
+    """Blocks can be softened no further than to nothing."""
+    soft = EffectSpec(name='presliding_error', joint=robot.joints[1], values=(-0.75, 0.0))
+    likelihood = Likelihood([driven_motion(robot, gains, duration=8.0)], robot)
+    x = np.zeros(len(likelihood.nuisances))
+    heavy = likelihood.simulated_as(likelihood.fitted(with_effect(robot, soft), x))
+    ends = []
+    for step in (-0.3, 0.3):
+        values = (step, 0.0)
+        heavy.encoder_noise.learn(heavy, replace(soft, values=values), [(0, values)])
+        ends.append(heavy.encoder_noise.of_effect(soft)[0])
+    np.testing.assert_array_equal(*ends)
 
 
 def test_what_sticks_is_measured_by_the_noise_of_what_sticks():

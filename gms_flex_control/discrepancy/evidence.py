@@ -149,6 +149,21 @@ def posterior(states, known) -> list[tuple[frozenset, float]]:
     return list(zip(keys, (mass / mass.sum()).tolist(), strict=True))
 
 
+def doubted(kept, tried, known) -> list[State]:
+    """
+    Return all States that were tried, for the set of models.
+
+    Of effects that evidence speaks for and held-out prediction against, nobody knows whether they
+    are there: all models with them together are no likelier than those ``kept`` without.
+    """
+    there = {state.key(known) for state in kept}
+    others = [state for state in tried if state.key(known) not in there]
+    highest = [max((state.evidence for state in states), default=-np.inf)
+               for states in (kept, others)]
+    excess = max(finite(highest[1] - highest[0]), 0.0)
+    return [*kept, *(state._replace(evidence=state.evidence - excess) for state in others)]
+
+
 def credible(models, mass=CREDIBLE) -> list:
     """Return the fewest models (of `posterior`) that hold so much of the probability."""
     shares = np.cumsum([share for _, share in models])

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.nuisance import LARGEST
-from gms_flex_control.effects.registry import find
+from gms_flex_control.effects.registry import bounds_of, find
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -25,6 +25,8 @@ _NEAR = 2.0                   # steps of a derivative within which it is kept
 _PHASE_SD = np.pi / np.sqrt(3.0)  # of a phase that nothing is known of
 _LEAST_SHARE = 0.3            # of the squares of a derivative that is not encoder noise
 _LEAST_EIGENVALUE = 1e-10     # of scaled products of derivatives
+_ANCHORED = 3                 # times at most that what noise adds is taken anew
+_AS_FORESEEN = 10.0           # times `_ENOUGH`: it adds as much as foreseen
 _RETUNED = 3                  # times at most that derivatives are taken anew
 _AT_LIMIT = 0.01              # relative distance from a limit of the search
 
@@ -76,12 +78,6 @@ class Number(NamedTuple):
     upper: float
     sd: float          # of its prior
     centred: bool      # whether zero is its likeliest value
-
-
-def bounds_of(spec, robot) -> tuple:
-    """Return the least and the largest values that are looked for of an effect's parameters."""
-    at = robot.joints.index(spec.joint) if spec.joint in robot.joints else 0
-    return find(spec.name).search_bounds(at, robot)
 
 
 def numbers_of(likelihood, robot, first=None) -> list:
@@ -280,7 +276,25 @@ def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=
     """
     x = np.where(likelihood.resting(robot), 0.0, x)
     x = np.clip(x, -plausible * likelihood.sd, plausible * likelihood.sd)
-    model, known, own = likelihood.fitted(robot, x), len(columns) - len(x), None
+    model, best = likelihood.fitted(robot, x), None
+    for _ in range(_ANCHORED):
+        found = _descended(likelihood, model, columns, first, plausible, iterations)
+        model = likelihood.exact(found)
+        if best is None or _total(likelihood, model) < _total(likelihood, best):
+            best = model
+        if abs(model.cost - found.cost) < _ENOUGH * _AS_FORESEEN:
+            break
+    return best
+
+
+def _total(likelihood, model):
+    """Return -2 log of likelihood times all priors, but for constants."""
+    return model.cost + prior_cost(likelihood, model)
+
+
+def _descended(likelihood, model, columns, first, plausible, iterations):
+    """Return a Fitted at the minimum of the cost, what noise adds to first order."""
+    known, own = len(columns) - len(model.x), None
     for _ in range(iterations):
         numbers = numbers_of(likelihood, model.robot, first)
         if own is None:
@@ -289,8 +303,8 @@ def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=
         values = values_of(model.robot, numbers)
         for shrink in _SHRINK if most > _TRIFLE else _SHRINK[:1]:
             other = likelihood.fitted(
-                at_values(model.robot, numbers, values + shrink * step[len(x):]),
-                model.x + shrink * step[:len(x)])
+                at_values(model.robot, numbers, values + shrink * step[len(model.x):]),
+                model.x + shrink * step[:len(model.x)])
             gain = model.cost - other.cost + _prior_cost(model, numbers) - _prior_cost(
                 other, numbers)
             if gain > 0.0:

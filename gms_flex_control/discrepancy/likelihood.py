@@ -189,10 +189,11 @@ class Likelihood:
         """
         Return the Sums of a model.
 
-        ``exact``: what noise adds is simulated, not extrapolated from the null.
+        ``exact``: what noise adds is simulated, not extrapolated from where it last was.
         """
         of_noise, groups = self.encoder_noise, self.groups
-        noise = np.subtract(*self.of_pair(robot, x)) if exact else of_noise.along(robot, x)
+        noise = of_noise.anchored(robot, x, lambda: np.subtract(
+            *self.of_pair(robot, x))) if exact else of_noise.along(robot, x)
         own = 0.5 * of_noise.own_sums
         added, most = 0.5 * groups.sums(noise ** 2) - own, _MOST_ADDED * own
         whole = groups.sums(rows ** 2)
@@ -236,6 +237,11 @@ class Likelihood:
         return (self.encoder_noise.columns(model.robot, numbers)
                 * self.encoder_noise.informative(model.robot, numbers)
                 ) @ self.noise_cleared(model, weight)
+
+    def added_noise(self, model) -> np.ndarray:
+        """Return the variance (R,) of rows that sums are cleared of."""
+        added = self.groups.sums(model.rows ** 2) - model.sums.groups
+        return (added / self.groups.count)[self.groups.group]
 
     def noise_cleared(self, model, weight) -> np.ndarray:
         """Return the noise (R,) that sums are cleared of, so weighted."""
@@ -304,6 +310,10 @@ class Likelihood:
         """Return a model as it is, a Fitted."""
         rows = self.rows(robot, x)
         return Fitted(robot, x, rows, self.sums(rows, robot, x))
+
+    def exact(self, model) -> Fitted:
+        """Return a Fitted with what encoder noise adds simulated: others are compared with it."""
+        return replace(model, sums=self.sums(model.rows, model.robot, model.x, exact=True))
 
     def resting(self, robot) -> np.ndarray:
         """Return which nuisance parameters (P,) an effect of a model replaces, bool."""

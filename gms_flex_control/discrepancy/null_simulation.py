@@ -26,6 +26,7 @@ from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.whitening import Grams
 from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects.registry import bounds_of
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -163,6 +164,7 @@ class EncoderNoise:
                                 dtype=bool)
         self.grams = Grams(self._groups, self.known(self._by_nuisance))
         self._by_effect = {}  # (effect, joint): as `_shown`, a row for each parameter
+        self._anchors = {}    # effects that were added, all (effect, joint): effects, x and noise
 
     def _shown(self, pair, step):
         """
@@ -197,12 +199,14 @@ class EncoderNoise:
             effects = list(self._robot.effects)
             if (spec.name, spec.joint) in there:  # a second one would act on what the first made
                 i = self._known + there.index((spec.name, spec.joint))
-                own = effects[i].values
-                effects[i] = replace(spec, values=(*own[:k], own[k] + values[k], *own[k + 1:]))
+                own, (lower, upper) = effects[i].values, bounds_of(spec, self._robot)
+                step = values[k] if lower[k] < own[k] + values[k] < upper[k] else -values[k]
+                effects[i] = replace(spec, values=(*own[:k], own[k] + step, *own[k + 1:]))
             else:
                 effects.append(replace(spec, values=values))
+                step = values[k]
             shown[k], informative[k] = self._shown(likelihood.of_pair(
-                replace(self._robot, effects=tuple(effects)), self._x), values[k])
+                replace(self._robot, effects=tuple(effects)), self._x), step)
         self._by_effect[spec.name, spec.joint] = shown, informative
 
     def of_effect(self, spec) -> np.ndarray:
@@ -248,9 +252,28 @@ class EncoderNoise:
 
     def along(self, robot, x) -> np.ndarray:
         """Return by how much residuals of both null simulations would differ for a model (R,)."""
-        out = self.own + (x - self._x) @ self._by_nuisance
-        for sign, effects in ((1.0, robot.effects), (-1.0, self._robot.effects)):
-            for spec in effects[self._known:]:
+        begun = self._robot.effects[self._known:], self._x, self.own
+        effects, begin, noise = self._anchors.get(self._added(robot), begun)
+        out = noise + (x - begin) @ self._by_nuisance
+        for sign, specs in ((1.0, robot.effects[self._known:]), (-1.0, effects)):
+            for spec in specs:
                 if (spec.name, spec.joint) in self._by_effect:
                     out += sign * (np.asarray(spec.values) @ self.of_effect(spec))
         return out
+
+    def anchored(self, robot, x, simulated) -> np.ndarray:
+        """
+        Return by how much both differ (R,), and begin there for models with the same effects.
+
+        ``simulated`` finds it; it is called unless this model was the last with its effects.
+        """
+        effects, key = robot.effects[self._known:], self._added(robot)
+        kept = self._anchors.get(key)
+        if kept is None or kept[0] != effects or not np.array_equal(kept[1], x):
+            kept = effects, x.copy(), simulated()
+            if self._by_effect.keys() >= set(key):  # else nobody knows where it goes from there
+                self._anchors[key] = kept
+        return kept[2]
+
+    def _added(self, robot):
+        return tuple((spec.name, spec.joint) for spec in robot.effects[self._known:])

@@ -71,3 +71,8 @@ MOST_LEFT = 0.5
 # Share of the evidence of a free function of one variable that an effect must have in its place
 # to be named: true effects reach 0.9 to 3.7 on hidden robots, resemblances 0.1 to 0.85.
 RESEMBLES = 0.9
+
+# Decrease of the cost by another value of an effect that the model has, in the first scan, which
+# leaves bounds aside, from which it is worth a remark: four times what chance gives the best of
+# some hundred guesses, 2 log of their number.
+KNOWN_OFF = 50.0

@@ -11,7 +11,7 @@ from gms_flex_control import blas
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy import describe
 from gms_flex_control.discrepancy.data_faults import faults_of
-from gms_flex_control.discrepancy.evidence import credible, posterior
+from gms_flex_control.discrepancy.evidence import credible, doubted, posterior
 from gms_flex_control.discrepancy.findings import (
     as_given,
     findings_of,
@@ -41,6 +41,7 @@ from gms_flex_control.discrepancy.search import search
 from gms_flex_control.discrepancy.thresholds import (
     BETTER,
     CLEARLY,
+    KNOWN_OFF,
     MOST_LEFT,
     NOT_CLEARLY,
     PLAUSIBLE,
@@ -118,7 +119,7 @@ def _compared(motions, holdout, robot, options, say):
     likelihood, found = _searched(_with_noise(Likelihood(
         motions, robot, options.seed, widened=options.doubt)), options, say)
     say('held-out prediction')
-    searched = found.best
+    searched = found
     found, worths, free, whole = judged(likelihood, found)
     held_out = HeldOut(likelihood, Likelihood(holdout, robot, options.seed, options.doubt,
                                               held_out=True) if holdout else None)
@@ -133,18 +134,18 @@ def _compared(motions, holdout, robot, options, say):
     more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
     whole = whole if left else found
     after = _written(likelihood, found, whole, held_out, [
-        searched, predicting_subset(likelihood, whole, held_out)] if more else [],
+        searched.best, predicting_subset(likelihood, whole, held_out)] if more else [],
         {one.key for one in findings if one.main})
     if after is not found.best:
         gap = held_out.gap(found.before, after)
-    result = _result(likelihood, found, after, findings, left, gap)
+    result = _result(likelihood, found, searched, after, findings, left, gap)
     words, details = describe.paragraph(result, sorted(likelihood.unseen),
                                         _known_off(found, robot))
     return replace(result, words=words, details=details)
 
 
-def _result(likelihood, found, after, findings, left, gap):
-    """Return the Discrepancy, without words, that writes the State ``after``."""
+def _result(likelihood, found, searched, after, findings, left, gap):
+    """Return the Discrepancy, without words, of a search and its end; ``after`` is written."""
     known, joints = likelihood.known, likelihood.robot.joints
     changes = list(zip(likelihood.nuisances, after.model.x.tolist(), strict=True))
     added, named = after.key(known), {one.key for one in findings}
@@ -154,7 +155,7 @@ def _result(likelihood, found, after, findings, left, gap):
                  else UNEXPLAINED if left or main else COMPLETE),
         findings=tuple(main), minor=tuple(one for one in findings if not one.main),
         models=tuple(Credible(tuple(sorted(names)), mass) for names, mass in credible(
-            posterior(found.tried, known))),
+            posterior(doubted(found.tried, searched.tried, known), known))),
         stand_ins=tuple(spec for spec in after.model.robot.effects[known:]
                         if (spec.name, spec.joint) not in named),
         noise=() if left else noise_of(likelihood, found.best.model), unexplained=left, gap=gap,
@@ -290,4 +291,5 @@ def _known_off(found, robot):
     """Return (effect, joint) of an effect the model has, if another value would explain most."""
     known = {(spec.name, spec.joint) for spec in robot.effects}
     ranked = sorted(found.scan, key=lambda key: -found.scan[key])
-    return ranked[0] if ranked and ranked[0] in known and found.scan[ranked[0]] > 50.0 else None
+    return (ranked[0] if ranked and ranked[0] in known and found.scan[ranked[0]] > KNOWN_OFF
+            else None)

@@ -96,3 +96,9 @@ def _loaded(entry):
     if kind.name != entry.name:
         raise ParameterError(f'{where} calls itself {kind.name!r}; both names must agree')
     return kind
+
+
+def bounds_of(spec, robot) -> tuple:
+    """Return the least and the largest values that are looked for of an effect's parameters."""
+    at = robot.joints.index(spec.joint) if spec.joint in robot.joints else 0
+    return find(spec.name).search_bounds(at, robot)
