@@ -67,7 +67,7 @@ def chosen(outcomes, kind, population='home', plant=None):
 
 
 def share(flags):
-    """Return the share of true ones, None of nothing."""
+    """Return the share of true ones, or the mean; None of nothing."""
     flags = list(flags)
     return float(np.mean(flags)) if flags else None
 
@@ -205,13 +205,16 @@ def _use(outcomes):
     rich = chosen(outcomes, 'single')
     energy = _ratios(judgement.energy_ratio, rich)
     free = _ratios(judgement.free_ratio, outcomes)
-    single = _ratios(judgement.free_ratio, rich)
+    single, above = (_ratios(ratio, rich) for ratio in (
+        judgement.free_ratio, judgement.free_ratio_above_truth))
     seconds = [one['seconds'] for one in outcomes]
     return [
         Figure('held-out energy above the floor, after / before', median(energy), 0.1, False,
                len(energy), percent=False),
-        Figure('free-run error, after / before', median(single), 0.25, False, len(single),
+        Figure('free-run error, after / before', median(single), None, False, len(single),
                percent=False),
+        Figure("free-run error above the true robot's, after / before", median(above), 0.25,
+               False, len(above), percent=False),
         Figure('free run made worse', share(value > MADE_WORSE for value in free), 0.0, False,
                len(free)),
         Figure('median time of a case [s]', median(seconds), 10.0, False, len(seconds),
@@ -241,6 +244,7 @@ def of_population(outcomes, population):
         chosen(outcomes, kind, population)
         for kind in ('single', 'clean', 'double', 'clutter', 'outside'))
     every = [one for one in outcomes if one['truth']['population'] == population]
+    sets = [one for one in (*single, *clean, *double) if one.get('models')]
     answers, found, places = [judged(one) for one in single], _found(double), _places(clutter)
     return {
         'cases': len(every),
@@ -254,6 +258,9 @@ def of_population(outcomes, population):
         'clutter: absent': share(_absent(clutter)),
         'outside: no name': share(not names_large(one) for one in outside),
         'free run': median(_ratios(judgement.free_ratio, every)),
+        'free run above truth': median(_ratios(judgement.free_ratio_above_truth, every)),
+        'set': share(judgement.holds_truth(one) for one in sets),
+        'set size': share(len(one['models']) for one in sets),
         'energy': median(_ratios(judgement.energy_ratio, every)),
         'time [s]': median([one['seconds'] for one in every])}
 

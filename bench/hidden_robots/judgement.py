@@ -171,8 +171,24 @@ def energy_ratio(outcome):
 
 def free_ratio(outcome):
     """Return the rms of the free run's error, after / before; None if unknown."""
-    gap = outcome['gap']
-    if not gap or None in (*gap['free_before'], *gap['free_after']):
+    before, after, _ = _free_errors(outcome)
+    return after / before if before and after is not None else None
+
+
+def free_ratio_above_truth(outcome):
+    """
+    Return the free run's error above that of the true robot, after / before; None if unknown.
+
+    Also where the model without effects errs no more than the truth does.
+    """
+    before, after, floor = _free_errors(outcome)
+    if None in (before, after, floor) or before <= floor:
         return None
-    before, after = (float(np.linalg.norm(gap[name])) for name in ('free_before', 'free_after'))
-    return after / before if before > 0.0 else None
+    return float(np.sqrt(max(after ** 2 - floor ** 2, 0.0) / (before ** 2 - floor ** 2)))
+
+
+def _free_errors(outcome):
+    """Return errors of free runs (rms of all joints) before, after and of the truth, or None."""
+    gap = outcome['gap'] or {}
+    return [float(np.linalg.norm(gap[name])) if None not in gap.get(name, [None]) else None
+            for name in ('free_before', 'free_after', 'free_true')]

@@ -14,10 +14,14 @@ from bench.hidden_robots.hide import truth_values
 from bench.hidden_robots.judgement import judged, ranked, RIGHT, WORKFLOW
 from gms_flex_control.discrepancy.evidence import state_of
 from gms_flex_control.discrepancy.fitting import refitted, retuned
+from gms_flex_control.discrepancy.gap import free_runs
 from gms_flex_control.discrepancy.likelihood import with_effect
+from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.search import count_of
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.simulation import plant
+import numpy as np
 
 # what a numerical failure raises; it counts against the tool and does not end the bench
 _FAILURES = (GmsFlexError, ArithmeticError, LookupError, ValueError)
@@ -48,6 +52,8 @@ def try_job(job, with_peers=True):
     outcome = {'key': job.key, 'truth': truth_values(case.truth), 'answers': {}}
     answer, result = ask_workflow(case, without)
     outcome |= answer
+    if outcome['gap']:
+        outcome['gap']['free_true'] = free_error_of_truth(case)
     outcome['megabytes'] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
         1024.0 if sys.platform != 'darwin' else 1024.0 ** 2)
     outcome['answers'][WORKFLOW] = [[one['effect'], one['joint']] for one in ranked(
@@ -117,6 +123,18 @@ def gain_of_truth(result, effect):
     except _FAILURES:
         return None
     return with_it.evidence - without_it.evidence
+
+
+def free_error_of_truth(case):
+    """
+    Return the rms error of free runs of the true robot of a Case, list per joint [rad].
+
+    Along the recording held out, as the gap has it of a model: runs begin at what encoders read,
+    and nobody knows the noise of the drives, so no model has less but by chance.
+    """
+    robot = case.truth.robot
+    _, link, motor = free_runs(motion_of(case.held_out, robot), plant.constants_of(robot))
+    return np.sqrt(np.mean(link ** 2 + motor ** 2, axis=(0, 1)) / 2.0).tolist()
 
 
 def gap_of(gap):

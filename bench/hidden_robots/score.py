@@ -22,7 +22,8 @@ from gms_flex_control.discrepancy.thresholds import EVIDENCE
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.file_io import write_text
 
-NUMBERS = ('cases', 'free run', 'energy', 'time [s]')  # figures of a population, else shares
+NUMBERS = ('cases', 'free run', 'free run above truth', 'set size', 'energy',
+           'time [s]')  # figures of a population, else shares
 
 
 def add_parser(subparsers):
@@ -127,9 +128,6 @@ def line_of(outcome):
                       for one in outcome['findings'][:3])
     return (f'{truth["kind"]} {truth["seed"]} {truth["plant"]} {truth["population"]}: {hidden} -> '
             f'{outcome["verdict"]}{": " if named else ""}{named} ({outcome["seconds"]:.1f} s)')
-
-
-NUMBERS = ('cases', 'free run', 'energy', 'time [s]')  # figures of a population, else shares
 
 
 def aligned(rows):

@@ -72,6 +72,11 @@ def test_gaps_count_above_the_floor():
            'free_before': [4.0, 3.0], 'free_after': [0.0, 1.0]}
     assert judgement.energy_ratio(outcome(gap=gap)) == pytest.approx(9.0 / 25.0)
     assert judgement.free_ratio(outcome(gap=gap)) == pytest.approx(0.2)
+    for truth, above in (([0.6, 0.0], 0.8 / np.sqrt(25.0 - 0.36)), ([2.0, 0.0], 0.0),
+                         ([6.0, 0.0], None)):
+        assert judgement.free_ratio_above_truth(outcome(gap=gap | {'free_true': truth})) == (
+            above if above is None else pytest.approx(above))
+    assert judgement.free_ratio_above_truth(outcome(gap=gap)) is None
     assert judgement.energy_ratio(outcome(gap=gap | {'after': [None, 1.0]})) is None
     assert judgement.free_ratio(outcome()) is None
 
