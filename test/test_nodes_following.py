@@ -49,13 +49,9 @@ def test_a_reference_is_carried_on_until_its_timeout_then_braked_held_and_let_go
     assert efforts[-1][0] == pytest.approx(0.1 + 1.0 + 0.5, abs=0.01)
 
 
-def measured(q, dq):
-    return SimpleNamespace(q_link=np.array(q), dq_link=np.array(dq))
-
-
 def test_a_handover_begins_at_the_robot_and_ends_at_the_reference():
     way = Handover(2.0)
-    way.begin(0, measured([1.0, 0.0], [0.0, -0.5]), MOTION)
+    way.begin(0, np.array([[1.0, 0.0], [0.0, -0.5]]), MOTION)
     first = way.applied(0, MOTION)
     assert first[:2] == pytest.approx(np.array([[1.0, 0.0], [0.0, -0.5]]))
     assert np.abs(first[2:]).max() < 1e-9
@@ -67,9 +63,16 @@ def test_a_handover_begins_at_the_robot_and_ends_at_the_reference():
 
 def test_torque_fades_in_where_a_motion_begins_and_only_there():
     way = Handover(2.0)
-    way.begin(NS, measured(MOTION[0], MOTION[1]), MOTION)
+    way.begin(NS, MOTION[:2], MOTION)
     assert risen(way, range(0, NS, NS // 200)) == pytest.approx(
         np.minimum(np.arange(200) / 20, 1.0))
+
+
+def test_torque_begins_with_the_one_that_is_given_already():
+    way = Handover(2.0)
+    way.begin(NS, MOTION[:2], MOTION, torque=np.array([0.4, 0.4]))
+    share = np.minimum(np.arange(200) / 20, 1.0)
+    assert risen(way, range(0, NS, NS // 200)) == pytest.approx(share + 0.4 * (1.0 - share))
 
 
 def risen(way, moments):
@@ -82,7 +85,7 @@ def risen(way, moments):
 
 def test_a_loop_that_stalls_as_it_begins_does_not_jump_to_the_whole_torque():
     way = Handover(2.0)
-    way.begin(NS, measured(MOTION[0], MOTION[1]), MOTION)
+    way.begin(NS, MOTION[:2], MOTION)
     assert risen(way, [0, NS // 12, NS // 6, NS // 6 + NS // 500]) == pytest.approx(
         [0.0, 0.1, 0.2, 0.22])
 

@@ -94,6 +94,31 @@ def test_what_is_sent_ahead_is_what_follows_to_the_last_bit(compensation):
     assert np.ptp([came[0] for _, came in pairs]) > 0.1
 
 
+@pytest.mark.parametrize(('lost', 'phase'), [(1.0, 'holding'), (2.5, 'relaxing')])
+def test_a_reference_that_comes_back_is_met_without_a_jump(lost, phase):
+    """From where the arm is held, with its torque; from a torque let down, with what is left."""
+    chain, asked, torques = Chain().settled(), [], []
+    chain.follower.handover = following.Handover(2.0)
+    law = chain.follower.controller.tick
+    chain.follower.controller.tick = lambda motion, elapsed: (
+        asked.append(motion[0].copy()), law(motion, elapsed))
+    keep, chain.follower.references.keep = chain.follower.references.keep, lambda *_: None
+    while chain.now - chain.begin < lost * 1e9:
+        chain.tick()
+    assert chain.follower.references.phase == phase
+    held, given = asked[-1], chain.sent.copy()
+    asked.clear()
+    chain.follower.references.keep = keep
+    for _ in range(100):
+        chain.tick()
+        torques.append(chain.sent.copy())
+    assert chain.follower.references.phase == following.FOLLOWING
+    assert np.abs(MOTION.sample(lost)[0] - held).max() > 0.05  # the reference is elsewhere
+    assert np.abs(np.diff(asked, axis=0)).max() < 2e-3
+    assert np.abs(asked[0] - held).max() < (2e-3 if phase == 'holding' else 0.05)
+    assert np.abs(np.diff([given, *torques[:20]], axis=0)).max() < 0.1
+
+
 def fast(chain):
     chain.spoil = lambda fields: fields[1].__setitem__(0, 50.0)
 

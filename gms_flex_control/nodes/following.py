@@ -22,7 +22,7 @@ _BRAKE_TIME = 0.5    # from a lost reference to rest [s]
 _AVERAGE = 0.1       # time constant of the torque that is let down [s]
 # A reference nearer to the robot is followed at once: the law's step is then small.
 _NEAR, _NEAR_SPEED = 0.01, 0.2  # [rad], [rad/s]
-_FADE = round(0.1 * NANOSECONDS)  # in which the torque rises where a motion begins
+_FADE = round(0.1 * NANOSECONDS)  # in which the torque becomes the law's where a motion begins
 _RISE = 0.1          # the most it rises in one sample, of all: a loop may stall as it begins
 FOLLOWING, HOLDING, RELAXING = 'following', 'holding', 'relaxing'
 _PHASES = {FOLLOWING: (OK, 'following'), HOLDING: (WARN, 'reference lost: holding'),
@@ -95,7 +95,7 @@ class References:
         return abs(stamp - now) <= self._timeout
 
     def nearest(self, stamp) -> int | None:
-        """Return how far the nearest stamp is [s]; None without any reference."""
+        """Return how far the nearest stamp is [ns]; None without any reference."""
         return min((abs(known - stamp) for known in self._kept), default=None)
 
     def at(self, stamp) -> Reference | None:
@@ -151,7 +151,7 @@ class References:
 
 class Handover:
     """
-    The way from the robot's motion to a reference that is elsewhere, and from no torque to it.
+    The way from one motion to a reference that is elsewhere, and from one torque to another.
 
     It takes ``duration`` [s]; ``left`` (5, n_joints) was added to the reference last, None where
     the handover is over.
@@ -160,15 +160,20 @@ class Handover:
     def __init__(self, duration):
         self._duration = duration
         self._way = self.left = None
-        self._share, self._seen = 1.0, 0  # of the torque that is given, and stamp it was given at
+        self._share, self._seen = 1.0, 0  # of the law's torque, and stamp it was given at
+        self._torque = 0.0                # before [N m]
 
-    def begin(self, stamp, measured, reference) -> None:
-        """Begin at the joint state of ``stamp`` [ns]; nothing if ``reference`` (5, n) is near."""
+    def begin(self, stamp, motion, reference, torque=0.0) -> None:
+        """
+        Begin at the joint state of ``stamp`` [ns] to go to ``reference`` (5, n).
+
+        From a ``motion`` (2, n), angles and rates; at once if the reference is near. And from a
+        ``torque`` [N m], (n,) or one.
+        """
         self._way = self.left = None
-        self._share, self._seen = 0.0, stamp
+        self._share, self._seen, self._torque = 0.0, stamp, torque
         offset = -reference
-        offset[0] += measured.q_link
-        offset[1] += measured.dq_link
+        offset[:2] += motion
         if (np.abs(offset[0]).max() > _NEAR or np.abs(offset[1]).max() > _NEAR_SPEED):
             self._way = (stamp, builders.approach(
                 offset, builders.hold(np.zeros(offset.shape[1])), 0.0, duration=self._duration))
@@ -190,11 +195,13 @@ class Handover:
         return reference + self.left
 
     def fade(self, stamp, torque) -> None:
-        """Let ``torque`` (n,) rise from zero where the motion has just begun; in place."""
+        """Let ``torque`` (n,) begin with the one before, where a motion begins; in place."""
         if self._share < 1.0:
             self._share += min((stamp - self._seen) / _FADE, _RISE)
             self._seen = stamp
-            torque *= min(self._share, 1.0)
+            share = min(self._share, 1.0)
+            torque *= share
+            torque += (1.0 - share) * self._torque
 
 
 class EncoderWatch:
@@ -255,6 +262,7 @@ class Follower:
         self.follows = False     # whether its answer was that of the law
         self._obstacle = ''      # why it was answered with zero, though it was sound
         self._begins = True      # the next state with a motion reference begins a motion
+        self._asked = None       # (5, n_joints), what the law followed last
         self.changes = 0         # of what the next answer depends on
         self.counts = {'observer begun anew': 0, 'two trajectories': 0}
         self._warm_up()
@@ -263,7 +271,7 @@ class Follower:
         """Compile before the first state comes, with a motion from the robot to elsewhere."""
         away = np.ones((5, len(self._zero)))
         handover = Handover(1.0)
-        handover.begin(0, self.controller.measured, away)
+        handover.begin(0, self._measured(), away)
         self.controller.tick(handover.applied(0, extrapolate(away, 0.0)), 0.0)
         self.controller.reset()
 
@@ -324,11 +332,14 @@ class Follower:
             return self._zero
         if jumped and not self._lockstep:  # the next state shows whether this clock goes on
             return self._zero
+        before = None if silent or idle or jumped else self.references.phase
         reference = self.references.at(stamp)
         if reference is None:
             self._say_no_reference(stamp)
             return self._nothing()
-        return self._follow(stamp, reference, elapsed)
+        if before == HOLDING and self.references.phase == FOLLOWING:  # it has come back
+            self._begins = True
+        return self._follow(stamp, reference, elapsed, before)
 
     def outlook(self, sent) -> tuple:
         """
@@ -337,7 +348,8 @@ class Follower:
         ``sent`` (n_joints,) is the command before; see `hardware.effort_ahead.answer`.
         """
         motions = self.references.motions()
-        if not motions or not self.follows or self._begins or not self.handover.is_over:
+        if (not motions or not self.follows or self._begins or not self.handover.is_over
+                or self.references.phase != FOLLOWING):
             return ()
         return *self.law(sent), motions
 
@@ -373,8 +385,12 @@ class Follower:
                 f'cause is found call {self._health.name}/reset')
         return sentence
 
-    def _follow(self, stamp, reference, elapsed):
-        """Return the torque that follows a reference."""
+    def _measured(self):
+        """Return the measured angles and rates of the links (2, n_joints)."""
+        return np.array([self.controller.measured.q_link, self.controller.measured.dq_link])
+
+    def _follow(self, stamp, reference, elapsed, before):
+        """Return the torque that follows a reference, after the phase of the state before."""
         command = self.controller.state.command
         if reference.quantity == EFFORT:
             self.controller.reset()
@@ -384,8 +400,11 @@ class Follower:
         else:
             if self._begins:
                 self._begins = False
-                self.handover.begin(stamp, self.controller.measured, reference.value)
-            self.controller.tick(self.handover.applied(stamp, reference.value), elapsed)
+                self.handover.begin(
+                    stamp, self._asked[:2] if before == HOLDING else self._measured(),
+                    reference.value, command.copy() if before in (HOLDING, RELAXING) else 0.0)
+            self._asked = self.handover.applied(stamp, reference.value)
+            self.controller.tick(self._asked, elapsed)
             if not self._lockstep:
                 self.handover.fade(stamp, command)
             self.references.answered(command, elapsed)
