@@ -100,8 +100,8 @@ def flexible_score(seed: int, seconds: float) -> Score:
     """Return the Score of the arm with flexible joints, links and friction some 1 % off."""
     believed, rng = load_robot(ARM), np.random.default_rng(seed)
     true = robot_near(believed, rng)
-    recording = recording_of(true, believed, None, seconds=seconds,
-                             noise=float(rng.choice(NOISES)), motors_only=False, seed=seed)
+    recording = recording_of(true, believed, seconds=seconds, seed=seed,
+                             noise=float(rng.choice(NOISES)), motors_only=False)
     motors = [fit_motor([recording], j) for j in range(believed.n_joints)]
     fit = fit_base_parameters([recording], replace(
         believed, arm=with_motors(believed.arm, motors)))

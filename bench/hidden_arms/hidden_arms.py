@@ -4,25 +4,37 @@
 """
 Hidden effects on a six-axis and a seven-axis arm: what the workflow finds, with which resources.
 
-    .venv/bin/python -m bench hidden-arms --seeds 0:10 --clean 0:4
+    .venv/bin/python -m bench hidden-arms --seeds 0:10 --kinds single clean double outside
 
 MuJoCo is the robot, gravity on. Masses, stiffnesses and friction are believed with errors of the
 size of their priors. Every robot is asked for in a process of its own.
+
+A free run begins with readings and ends with the true robot's own error: free runs are judged
+above what the true parameters leave on the same recording, where what is missing shows in them.
 """
 
 from dataclasses import replace
 import json
 from multiprocessing import get_context
-import os
 from pathlib import Path
 import resource
 import time
+from types import SimpleNamespace
 from typing import NamedTuple
 
-from bench.hidden_arms.plant import Hidden, recording_of
+from bench.hidden_arms.plant import Hidden, PERIOD, recording_of, reference_of, with_change
+from bench.hidden_robots import outsiders
+from bench.hidden_robots.hide import seeds_of
+from bench.hidden_robots.truth import Disturbance
+from gms_flex_control.answer import align
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.discrepancy.gap import free_rms
+from gms_flex_control.discrepancy.result import COMPLETE, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy
-from gms_flex_control.errors import ConfigError, GmsFlexError
-from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
+from gms_flex_control.effects.registry import find
+from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.file_io import write_text
+from gms_flex_control.params.robot import EffectSpec, RobotParams, WHOLE_ARM
 from gms_flex_control.schema.files import load_robot
 import numpy as np
 
@@ -35,15 +47,29 @@ _OF_JOINT = (*_SPRING, 'coulomb_error', 'viscous_error', 'position_friction', 'l
 _OF_ARM = ('gravity_tilt', 'tip_payload')
 _INERTIA_SD, _STIFFNESS_SD, _FRICTION_SD = 0.01, 0.01, 0.01  # of what is believed
 NOISES = (0.01, 0.03, 0.06)  # of Coulomb friction
+KINDS = ('single', 'clean', 'double', 'outside')
+_SHOWS = 2.0          # squared free-run error over that of the truth, from which it is judged
 
 
 class Job(NamedTuple):
     """One hidden robot."""
 
     arm: str
+    kind: str
     seed: int
-    clean: bool
     seconds: float
+
+
+class Case(NamedTuple):
+    """One hidden robot and its recording."""
+
+    believed: RobotParams
+    true: RobotParams       # with what is hidden, as far as the catalogue has it
+    hidden: tuple           # of Hidden
+    outside: str            # disturbance and joint from outside the catalogue, or ''
+    motors_only: bool
+    noise: float
+    recording: Recording
 
 
 class Outcome(NamedTuple):
@@ -53,9 +79,10 @@ class Outcome(NamedTuple):
     motors_only: bool
     noise: float
     answer: str        # verdict and the first names
-    right: bool        # named first, of the joint
-    wrong: bool        # another is named first
+    right: bool        # named first, of the joint; of two, both; of none, as KINDS require
+    wrong: bool        # another is named first, of which the answer does not say that it may be it
     free_ratio: float  # error of free runs, after over before
+    free_above: float  # likewise, both above that of the true robot; NaN where it does not show
     seconds: float
     megabytes: float   # largest, of the process
 
@@ -103,33 +130,92 @@ def robot_near(robot: RobotParams, rng: np.random.Generator) -> RobotParams:
         lambda steady: steady.scaled(static=level, coulomb=level, viscous=viscous)))
 
 
+def disturbance_of(robot: RobotParams, seconds: float, rng: np.random.Generator) -> Disturbance:
+    """Draw a disturbance from outside the catalogue."""
+    j = int(rng.integers(robot.n_joints))
+    name = str(rng.choice(outsiders.NAMES))
+    angle, rate = reference_of(robot, seconds, np.random.default_rng(0))[:, :2, j].T
+    return outsiders.draw_disturbance(rng, name, j, SimpleNamespace(
+        static=robot.friction.forward.static[j], lowest=angle.min(), highest=angle.max(),
+        speed=np.std(rate), duration=seconds), round(seconds / PERIOD), PERIOD)
+
+
+def case_of(job: Job) -> Case:
+    """Draw a robot and move it."""
+    believed = load_robot(_EXAMPLES / ARMS[job.arm] / 'robot.yaml')
+    rng = np.random.default_rng([job.seed, KINDS.index(job.kind), list(ARMS).index(job.arm)])
+    base, hidden, disturbance = robot_near(believed, rng), [], None
+    while len(hidden) < {'single': 1, 'double': 2}.get(job.kind, 0):
+        one = hidden_of(believed, rng)
+        if one.name not in [other.name for other in hidden]:
+            hidden.append(one)
+    if job.kind == 'outside':
+        disturbance = disturbance_of(believed, job.seconds, rng)
+    noise, motors_only = float(rng.choice(NOISES)), bool(rng.random() < 0.5)
+    recording = recording_of(base, believed, hidden, seconds=job.seconds, noise=noise,
+                             motors_only=motors_only, seed=job.seed, disturbance=disturbance)
+    return Case(believed, truth_of(base, hidden), tuple(hidden), disturbance and (
+        f'{disturbance.name} {believed.joints[disturbance.joint]}') or '', motors_only, noise,
+        recording)
+
+
+def truth_of(robot: RobotParams, hidden) -> RobotParams:
+    """Return a robot with hidden effects, as parameters or as effects of the catalogue."""
+    for one in hidden:
+        changed = with_change(robot, one)
+        robot = changed if changed is not robot else replace(robot, effects=(
+            *robot.effects, EffectSpec(name=one.name, joint=one.joint, values=tuple(
+                one.values[parameter.name] for parameter in find(one.name).parameters))))
+    return robot
+
+
+def judged(kind: str, truth: list, verdict: str, findings) -> tuple[bool, bool]:
+    """
+    Return whether an answer is right, and whether it is wrong.
+
+    ``truth`` are the hidden (effect, joint), ``findings`` those that matter. One that the answer
+    calls indistinguishable from the right one is neither.
+    """
+    names = [one.key for one in findings]
+    if kind in ('clean', 'outside'):
+        return (not names and verdict == {'clean': COMPLETE, 'outside': UNEXPLAINED}[kind],
+                bool(names))
+    right = names[:1] == truth if kind == 'single' else set(truth) <= set(names)
+    alike = names and any(effect in findings[0].confusable_with for effect, _ in truth)
+    return right, bool(names) and names[0] not in truth and not alike
+
+
+def free_ratios(found, true: RobotParams) -> tuple[float, float]:
+    """Return the error of free runs, after over before, and above what the truth leaves."""
+    before, after = (np.sum(one ** 2) for one in (found.gap.free_before, found.gap.free_after))
+    likelihood = found.behind.likelihood
+    least = np.sum(free_rms(likelihood, likelihood.fitted(
+        true, np.zeros(len(likelihood.nuisances)))) ** 2)
+    shows = before > _SHOWS * least
+    return float(np.sqrt(after / before)), float(np.sqrt(
+        max(after - least, 0.0) / (before - least))) if shows else np.nan
+
+
 def try_job(job: Job) -> Outcome:
     """Simulate one hidden robot and ask the workflow."""
-    believed = load_robot(_EXAMPLES / ARMS[job.arm] / 'robot.yaml')
-    rng = np.random.default_rng([job.seed, job.clean, list(ARMS).index(job.arm)])
-    true = robot_near(believed, rng)
-    hidden = None if job.clean else hidden_of(believed, rng)
-    noise, motors_only = float(rng.choice(NOISES)), bool(rng.random() < 0.5)
-    recording = recording_of(true, believed, hidden, seconds=job.seconds, noise=noise,
-                             motors_only=motors_only, seed=job.seed)
-    begun, base = time.monotonic(), _megabytes()
+    case, base = case_of(job), _megabytes()
+    begun, findings, ratios = time.monotonic(), (), (np.nan, np.nan)
     try:
-        found = find_discrepancy([recording], believed)
-        names = [(one.effect, one.joint) for one in found.findings]
-        verdict, gap = found.verdict, found.gap
+        found = find_discrepancy([case.recording], case.believed)
+        findings, verdict = found.findings, found.verdict
     except GmsFlexError as error:
-        names, verdict, gap = [], f'error: {error}', None
-    truth = None if hidden is None else (hidden.name, hidden.joint)
-    ratio = np.nan if gap is None else float(np.sqrt(
-        np.nansum(gap.free_after ** 2) / np.nansum(gap.free_before ** 2)))
-    first = ', '.join(f'{name} {joint}' for name, joint in names[:3])
+        found, verdict = None, f'error: {error}'
+    seconds = time.monotonic() - begun
+    if found and found.gap and job.kind in ('single', 'double'):
+        ratios = free_ratios(found, case.true)
+    right, wrong = judged(job.kind, [(one.name, one.joint) for one in case.hidden], verdict,
+                          findings)
     return Outcome(
-        'nothing' if hidden is None else f'{hidden.name} {hidden.joint} '
-        + ' '.join(f'{key} {value:.3g}' for key, value in hidden.values.items()),
-        motors_only, noise, f'{verdict} {first}'.strip(),
-        verdict == 'complete' if job.clean else bool(names) and names[0] == truth,
-        bool(names) and names[0] != truth, ratio, time.monotonic() - begun,
-        max(_megabytes(), base))
+        ', '.join(one.name + f' {one.joint} ' + ' '.join(
+            f'{key} {value:.3g}' for key, value in one.values.items())
+            for one in case.hidden) or case.outside or 'nothing', case.motors_only, case.noise,
+        f'{verdict} ' + ', '.join(' '.join(one.key) for one in findings[:3]),
+        right, wrong, *ratios, seconds, max(_megabytes(), base))
 
 
 def _megabytes():
@@ -140,49 +226,68 @@ def add_parser(subparsers) -> None:
     """Add the verb to the tool's parser."""
     parser = subparsers.add_parser(
         'hidden-arms', help='effects hidden in arms in space that MuJoCo moves',
-        description='Hide single effects in a six-axis and a seven-axis arm and nothing in '
-                    'others; print what discrepancy names, time and memory, as they come.')
-    parser.add_argument('--seeds', default='0:5', metavar='A:B', help='of single effects')
-    parser.add_argument('--clean', default='0:2', metavar='A:B', help='of robots with none')
+        description='Hide single effects in a six-axis and a seven-axis arm, two, nothing, or a '
+                    'disturbance that is in no catalogue; print what discrepancy names, time and '
+                    'memory, as they come, and how many are right.')
+    parser.add_argument('--seeds', default='0:2', metavar='A:B', help='of robots of each kind')
+    parser.add_argument('--kinds', nargs='+', choices=KINDS, default=list(KINDS))
     parser.add_argument('--arms', nargs='+', choices=ARMS, default=list(ARMS))
     parser.add_argument('--seconds', type=float, default=20.0, metavar='S',
                         help='of each recording (default: %(default)g)')
-    parser.add_argument('--out', metavar='FILE', help='outcomes as JSON')
+    parser.add_argument('--out', metavar='FILE', help='outcomes as JSON; those there are kept')
     parser.set_defaults(run=run)
-
-
-def _seeds(text, name):
-    try:
-        first, last = map(int, text.split(':'))
-    except ValueError:
-        raise ConfigError(f'{name} {text!r}: give A:B, such as 0:10') from None
-    return range(first, last)
 
 
 def run(args) -> int:
     """Ask, print each outcome and their figures; return 0."""
-    jobs = [Job(arm, seed, clean, args.seconds) for clean, seeds in (
-        (False, _seeds(args.seeds, '--seeds')), (True, _seeds(args.clean, '--clean')))
-        for seed in seeds for arm in args.arms]
-    found, context = [], get_context('spawn')
+    jobs = [Job(arm, kind, seed, args.seconds) for seed in seeds_of(args.seeds)
+            for kind in args.kinds for arm in args.arms]
+    found, context = _kept(args.out), get_context('spawn')
     for job in jobs:
+        if job in found:
+            continue
         with context.Pool(1, maxtasksperchild=1) as pool:
-            outcome = pool.apply(try_job, (job,))
-        found.append((job, outcome))
-        print(f'{job.arm} {job.seed}{" clean" if job.clean else ""}: {outcome.hidden}'
+            found[job] = outcome = pool.apply(try_job, (job,))
+        print(f'{job.arm} {job.kind} {job.seed}: {outcome.hidden}'
               f'{", motors only" if outcome.motors_only else ""}, noise {outcome.noise:g} -> '
               f'{outcome.answer} [{"right" if outcome.right else "-"}'
-              f'{", wrong" if outcome.wrong else ""}] free {outcome.free_ratio:.2f}, '
-              f'{outcome.seconds:.0f} s, {outcome.megabytes:.0f} MB', flush=True)
+              f'{", wrong" if outcome.wrong else ""}] free {outcome.free_ratio:.2f}, above the '
+              f'truth {outcome.free_above:.2f}, {outcome.seconds:.0f} s, '
+              f'{outcome.megabytes:.0f} MB', flush=True)
         if args.out:
-            Path(args.out).write_text(json.dumps(
-                [{**one._asdict(), **two._asdict()} for one, two in found], indent=1) + os.linesep)
-    for title, rows in (('single', [o for j, o in found if not j.clean]),
-                        ('clean', [o for j, o in found if j.clean])):
-        if rows:
-            ratios = [one.free_ratio for one in rows if np.isfinite(one.free_ratio)]
-            print(f'{title}: right {sum(one.right for one in rows)} of {len(rows)}, wrong '
-                  f'{sum(one.wrong for one in rows)}, free runs {np.median(ratios):.2f}, '
-                  f'{np.median([one.seconds for one in rows]):.0f} s, '
-                  f'{max(one.megabytes for one in rows):.0f} MB')
+            write_text(args.out, json.dumps(
+                [{**one._asdict(), **two._asdict()} for one, two in found.items()],
+                indent=1) + '\n')
+    print(align(['kind', 'encoders', 'robots', 'right', 'wrong', 'free runs', 'above the truth',
+                 'time [s]', 'memory [MB]'], figures(found)))
     return 0
+
+
+def _kept(path):
+    """Return the outcomes of a file by job, none where there is no file."""
+    if not path or not Path(path).exists():
+        return {}
+    return {Job(*(one[key] for key in Job._fields)): Outcome(*(
+        one[key] for key in Outcome._fields)) for one in json.loads(Path(path).read_text())}
+
+
+def figures(found: dict) -> list:
+    """Return rows of the table, by kind and encoders."""
+    rows = []
+    for kind in KINDS:
+        for motors_only, words in ((False, 'both'), (True, 'motors')):
+            own = [two for one, two in found.items()
+                   if one.kind == kind and two.motors_only == motors_only]
+            if own:
+                rows.append([kind, words, f'{len(own)}', f'{sum(one.right for one in own)}',
+                             f'{sum(one.wrong for one in own)}',
+                             *(_median([getattr(one, name) for one in own])
+                               for name in ('free_ratio', 'free_above')),
+                             f'{np.median([one.seconds for one in own]):.0f}',
+                             f'{max(one.megabytes for one in own):.0f}'])
+    return rows
+
+
+def _median(values):
+    known = [one for one in values if np.isfinite(one)]
+    return f'{np.median(known):.2f} of {len(known)}' if known else '-'

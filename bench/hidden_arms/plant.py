@@ -9,8 +9,12 @@ here a second time; friction is the GMS kernel of the package, which has tests o
 are semi-implicit, positions lead by half of one: they are read that much earlier.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
+from bench.hidden_robots.kernels.outside import NAMES, outside_torques, PARAMETERS
+from bench.hidden_robots.truth import Disturbance
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.dynamics.chain import mass_matrices
 from gms_flex_control.friction import gms
@@ -38,10 +42,8 @@ class Hidden:
         return -1 if self.joint == WHOLE_ARM else robot.joints.index(self.joint)
 
 
-def with_change(robot: RobotParams, hidden: Hidden | None) -> RobotParams:
-    """Return a robot with a hidden effect that is another value of a parameter."""
-    if hidden is None:
-        return robot
+def with_change(robot: RobotParams, hidden: Hidden) -> RobotParams:
+    """Return a robot with a hidden effect if that is another value of a parameter."""
     arm, friction, j = robot.arm, robot.friction, hidden.at(robot)
     factor = np.ones(robot.n_joints)
     factor[j] += hidden.values.get('ratio', 0.0)
@@ -121,8 +123,9 @@ def _frame_turn(model, data, j, described):
     return data.xmat[model.jnt_bodyid[j]].reshape(3, 3).T @ frame
 
 
-def recording_of(robot: RobotParams, described: RobotParams, hidden: Hidden | None, *,
-                 seconds: float, noise: float, motors_only: bool, seed: int) -> Recording:
+def recording_of(robot: RobotParams, described: RobotParams, hidden: Sequence[Hidden] = (), *,
+                 seconds: float, noise: float, motors_only: bool, seed: int,
+                 disturbance: Disturbance | None = None) -> Recording:
     """
     Return the recording of a robot under PD control of its motors along sinusoids.
 
@@ -131,12 +134,12 @@ def recording_of(robot: RobotParams, described: RobotParams, hidden: Hidden | No
     """
     import mujoco
 
-    true, rng = with_change(robot, hidden), np.random.default_rng(seed)
+    true, rng = reduce(with_change, hidden, robot), np.random.default_rng(seed)
     model = model_of(true)
     with_links(model, true, described)
     data, n, arm = mujoco.MjData(model), robot.n_joints, true.arm
     soft = np.flatnonzero(~arm.rigid)
-    reference = _reference(robot, seconds, rng)
+    reference = reference_of(robot, seconds, rng)
     mass = np.diag(mass_matrices(np.zeros((1, n)), described.arm)[0]) + np.where(
         arm.rigid, 0.0, arm.motor_inertia)
     samples, parts = len(reference), round(PERIOD / STEP)
@@ -146,7 +149,7 @@ def recording_of(robot: RobotParams, described: RobotParams, hidden: Hidden | No
     data.qpos[:n] = reference[0, 0]
     mujoco.mj_forward(model, data)
     data.qpos[n:] = reference[0, 0][soft] + data.qfrc_bias[soft] / arm.stiffness[soft]
-    before, effect = data.qpos[:n].copy(), _Acting(hidden, true)
+    before, effect = data.qpos[:n].copy(), _Acting(hidden, true, disturbance)
     scale = 2.0 * np.pi / COUNTS
     command = np.zeros(n)
     for k in range(samples):
@@ -162,7 +165,7 @@ def recording_of(robot: RobotParams, described: RobotParams, hidden: Hidden | No
                            + 2.0 * _BANDWIDTH * (wanted[1] - rate) + wanted[2])
                    + data.qfrc_bias[:n])
         for part in range(parts):
-            acted = effect.commanded(command, k * PERIOD + part * STEP)
+            acted = effect.commanded(command)
             turned = data.qpos[:n] - before
             before = data.qpos[:n].copy()
             gms.advance(state, turned, data.qvel[:n].copy(), STEP, friction)
@@ -171,10 +174,11 @@ def recording_of(robot: RobotParams, described: RobotParams, hidden: Hidden | No
             twist[soft] = data.qpos[n:] - data.qpos[soft]
             spring = np.where(arm.rigid, 0.0, effect.spring(twist, np.where(
                 arm.rigid, 0.0, arm.stiffness)))
-            drive = acted + effect.on_motor(now)
+            outside = effect.outside(k, part, data.qpos[:n], data.qvel[:n], now, tau)
+            drive = acted + effect.on_motor(now) + outside[1]
             carried = np.where(arm.rigid, drive, spring)
             data.qfrc_applied[:n] = (carried - effect.friction(tau, data.qpos[:n], carried)
-                                     + effect.on_link(data.qvel[:n]))
+                                     + effect.on_link(data.qvel[:n]) + outside[0])
             data.qfrc_applied[n:] = (drive - spring)[soft]
             mujoco.mj_step(model, data)
     level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
@@ -197,7 +201,7 @@ def _spread(values, places, n):
     return out
 
 
-def _reference(robot, seconds, rng):
+def reference_of(robot, seconds, rng):
     """Return angle, rate and acceleration (T, 3, n) of sinusoids within ranges and speeds."""
     frames, n = robot.arm.frames, robot.n_joints
     time = PERIOD * np.arange(round(seconds / PERIOD))
@@ -215,54 +219,67 @@ def _reference(robot, seconds, rng):
 
 
 class _Acting:
-    """What a hidden effect adds while the robot moves; `with_change` has the others."""
+    """What hidden effects add while the robot moves; `with_change` has the others."""
 
-    def __init__(self, hidden, robot):
-        self._name = '' if hidden is None else hidden.name
-        self._j = 0 if hidden is None else hidden.at(robot)
-        self._p = {} if hidden is None else hidden.values
-        self._held = []
+    def __init__(self, hidden, robot, disturbance):
+        self._effects = [(one.name, one.at(robot), one.values) for one in hidden]
+        self._disturbance, self._held, self._outside = disturbance, [], np.zeros(PARAMETERS)
+        if disturbance:
+            self._outside[:len(disturbance.values)] = disturbance.values
 
-    def commanded(self, command, time):
-        """Return the torque (n,) of the drives."""
+    def commanded(self, command):
+        """Return the torque (n,) of the drives in the next step."""
         out = command.copy()
-        if self._name == 'torque_gain':
-            out[self._j] *= 1.0 + self._p['gain_error']
-        elif self._name == 'input_delay':
-            self._held.append(command[self._j])
-            late = round(self._p['delay'] / STEP)
-            out[self._j] = self._held[max(len(self._held) - 1 - late, 0)]
+        self._held.append(command)
+        for name, j, p in self._effects:
+            if name == 'torque_gain':
+                out[j] *= 1.0 + p['gain_error']
+            elif name == 'input_delay':
+                out[j] = self._held[max(len(self._held) - 1 - round(p['delay'] / STEP), 0)][j]
         return out
 
     def on_motor(self, angle):
         """Return further torques (n,) on the motors."""
-        out, p = np.zeros(len(angle)), self._p
-        if self._name == 'torque_ripple':
-            out[self._j] = p['amplitude'] * np.sin(p['order'] * angle[self._j] + p['phase'])
+        out = np.zeros(len(angle))
+        for name, j, p in self._effects:
+            if name == 'torque_ripple':
+                out[j] += p['amplitude'] * np.sin(p['order'] * angle[j] + p['phase'])
         return out
 
     def spring(self, twist, stiffness):
         """Return the torques (n,) of the springs."""
-        if self._name == 'backlash':
-            twist = twist.copy()
-            gap = self._p['half_gap']
-            twist[self._j] -= np.clip(twist[self._j], -gap, gap)
+        twist = twist.copy()
+        for name, j, p in self._effects:
+            if name == 'backlash':
+                twist[j] -= np.clip(twist[j], -p['half_gap'], p['half_gap'])
         return stiffness * twist
 
     def friction(self, tau, angle, carried):
-        """Return the friction of all joints (n,), from ``tau`` of the robot without the effect."""
-        tau, j, p = tau.copy(), self._j, self._p
-        if self._name == 'position_friction':
-            tau[j] *= 1.0 + p['ratio'] * np.cos(p['order'] * angle[j] + p['phase'])
-        elif self._name == 'load_friction':
-            tau[j] *= 1.0 + p['ratio'] * abs(carried[j]) / p['load']
+        """Return the friction of all joints (n,), from ``tau`` of the robot without effects."""
+        tau = tau.copy()
+        for name, j, p in self._effects:
+            if name == 'position_friction':
+                tau[j] *= 1.0 + p['ratio'] * np.cos(p['order'] * angle[j] + p['phase'])
+            elif name == 'load_friction':
+                tau[j] *= 1.0 + p['ratio'] * abs(carried[j]) / p['load']
         return tau
 
     def on_link(self, rate):
         """Return further torques (n,) on the links."""
-        out, j = np.zeros(len(rate)), self._j
-        if self._name == 'quadratic_drag':
-            out[j] = -self._p['drag'] * abs(rate[j]) * rate[j]
-        elif self._name == 'constant_link_torque':
-            out[j] = self._p['bias']
+        out = np.zeros(len(rate))
+        for name, j, p in self._effects:
+            if name == 'quadratic_drag':
+                out[j] -= p['drag'] * abs(rate[j]) * rate[j]
+            elif name == 'constant_link_torque':
+                out[j] += p['bias']
+        return out
+
+    def outside(self, k, part, angle, rate, motor, tau):
+        """Return torques (2, n) on links and motors that are outside the catalogue."""
+        out, one = np.zeros((2, len(rate))), self._disturbance
+        if one:
+            j = one.joint
+            out[:, j] = outside_torques(
+                NAMES.index(one.name), self._outside, k * PERIOD + part * STEP, angle[j], rate[j],
+                motor[j], tau[j], one.drawn[k])
         return out

@@ -1,0 +1,59 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Arms in space in which something is hidden: how they move, and how answers are judged."""
+
+from types import SimpleNamespace
+
+from bench.hidden_arms.hidden_arms import case_of, Job, judged, truth_of
+from bench.hidden_arms.plant import Hidden
+from gms_flex_control.discrepancy.gap import free_runs
+from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.effects.table import with_changes
+from gms_flex_control.simulation import plant
+import numpy as np
+import pytest
+
+GAIN, SLOPE = ('torque_gain', 'joint2'), ('viscous_error', 'joint3')
+
+
+def answer(*keys, confusable=()):
+    """Return findings of an answer."""
+    return [SimpleNamespace(key=key, confusable_with=confusable) for key in keys]
+
+
+@pytest.mark.parametrize('kind, truth, verdict, findings, right, wrong', [
+    ('single', [GAIN], 'found', answer(GAIN, SLOPE), True, False),
+    ('single', [GAIN], 'found', answer(SLOPE, GAIN), False, True),
+    ('single', [GAIN], 'found', answer(SLOPE, confusable=('torque_gain',)), False, False),
+    ('single', [GAIN], 'unexplained', answer(), False, False),
+    ('double', [GAIN, SLOPE], 'found', answer(SLOPE, GAIN), True, False),
+    ('double', [GAIN, SLOPE], 'found', answer(SLOPE), False, False),
+    ('clean', [], 'complete', answer(), True, False),
+    ('clean', [], 'unexplained', answer(), False, False),
+    ('outside', [], 'unexplained', answer(), True, False),
+    ('outside', [], 'found', answer(SLOPE), False, True),
+])
+def test_an_answer_is_judged_by_what_was_hidden(kind, truth, verdict, findings, right, wrong):
+    assert judged(kind, truth, verdict, findings) == (right, wrong)
+
+
+def test_the_true_robot_runs_as_mujoco_moves_it():
+    """Two effects in MuJoCo and the same two in the model: free runs stay at the noise."""
+    case = case_of(Job('industrial', 'double', 1, 4.0))
+    assert len(case.hidden) == 2
+    motion = motion_of(case.recording, case.believed)
+
+    def error(robot):
+        _, _, motor = free_runs(motion, plant.constants_of(robot))
+        return np.sqrt(np.mean(motor ** 2))
+    assert error(case.true) < 0.2 * error(case.believed)
+
+
+def test_effects_that_are_parameters_change_the_robot():
+    believed = case_of(Job('light', 'clean', 0, 1.0)).believed
+    true = truth_of(believed, (
+        Hidden(name='link_inertia_error', joint='joint3', values={'ratio': 0.2}),
+        Hidden(name='torque_gain', joint='joint1', values={'gain_error': 0.1})))
+    assert [(one.name, one.joint) for one in true.effects] == [('torque_gain', 'joint1')]
+    assert with_changes(true).arm.mass[2] == pytest.approx(1.2 * believed.arm.mass[2])
