@@ -83,7 +83,7 @@ class Outcome(NamedTuple):
     wrong: bool        # another is named first, of which the answer does not say that it may be it
     free_ratio: float  # error of free runs, after over before
     free_above: float  # likewise, both above that of the true robot; NaN where it does not show
-    seconds: float
+    took: float        # [s]
     megabytes: float   # largest, of the process
 
 
@@ -205,7 +205,7 @@ def try_job(job: Job) -> Outcome:
         findings, verdict = found.findings, found.verdict
     except GmsFlexError as error:
         found, verdict = None, f'error: {error}'
-    seconds = time.monotonic() - begun
+    took = time.monotonic() - begun
     if found and found.gap and job.kind in ('single', 'double'):
         ratios = free_ratios(found, case.true)
     right, wrong = judged(job.kind, [(one.name, one.joint) for one in case.hidden], verdict,
@@ -215,7 +215,7 @@ def try_job(job: Job) -> Outcome:
             f'{key} {value:.3g}' for key, value in one.values.items())
             for one in case.hidden) or case.outside or 'nothing', case.motors_only, case.noise,
         f'{verdict} ' + ', '.join(' '.join(one.key) for one in findings[:3]),
-        right, wrong, *ratios, seconds, max(_megabytes(), base))
+        right, wrong, *ratios, took, max(_megabytes(), base))
 
 
 def _megabytes():
@@ -242,7 +242,7 @@ def run(args) -> int:
     """Ask, print each outcome and their figures; return 0."""
     jobs = [Job(arm, kind, seed, args.seconds) for seed in seeds_of(args.seeds)
             for kind in args.kinds for arm in args.arms]
-    found, context = _kept(args.out), get_context('spawn')
+    found, context = kept(args.out), get_context('spawn')
     for job in jobs:
         if job in found:
             continue
@@ -252,18 +252,22 @@ def run(args) -> int:
               f'{", motors only" if outcome.motors_only else ""}, noise {outcome.noise:g} -> '
               f'{outcome.answer} [{"right" if outcome.right else "-"}'
               f'{", wrong" if outcome.wrong else ""}] free {outcome.free_ratio:.2f}, above the '
-              f'truth {outcome.free_above:.2f}, {outcome.seconds:.0f} s, '
+              f'truth {outcome.free_above:.2f}, {outcome.took:.0f} s, '
               f'{outcome.megabytes:.0f} MB', flush=True)
         if args.out:
-            write_text(args.out, json.dumps(
-                [{**one._asdict(), **two._asdict()} for one, two in found.items()],
-                indent=1) + '\n')
+            keep(args.out, found)
     print(align(['kind', 'encoders', 'robots', 'right', 'wrong', 'free runs', 'above the truth',
                  'time [s]', 'memory [MB]'], figures(found)))
     return 0
 
 
-def _kept(path):
+def keep(path, found: dict) -> None:
+    """Write outcomes by job as JSON."""
+    write_text(path, json.dumps([{**one._asdict(), **two._asdict()} for one, two in found.items()],
+                                indent=1) + '\n')
+
+
+def kept(path) -> dict:
     """Return the outcomes of a file by job, none where there is no file."""
     if not path or not Path(path).exists():
         return {}
@@ -283,7 +287,7 @@ def figures(found: dict) -> list:
                              f'{sum(one.wrong for one in own)}',
                              *(_median([getattr(one, name) for one in own])
                                for name in ('free_ratio', 'free_above')),
-                             f'{np.median([one.seconds for one in own]):.0f}',
+                             f'{np.median([one.took for one in own]):.0f}',
                              f'{max(one.megabytes for one in own):.0f}'])
     return rows
 

@@ -5,7 +5,7 @@
 
 from types import SimpleNamespace
 
-from bench.hidden_arms.hidden_arms import case_of, Job, judged, truth_of
+from bench.hidden_arms.hidden_arms import case_of, Job, judged, keep, kept, Outcome, truth_of
 from bench.hidden_arms.plant import Hidden
 from gms_flex_control.discrepancy.gap import free_runs
 from gms_flex_control.discrepancy.motion import motion_of
@@ -57,3 +57,12 @@ def test_effects_that_are_parameters_change_the_robot():
         Hidden(name='torque_gain', joint='joint1', values={'gain_error': 0.1})))
     assert [(one.name, one.joint) for one in true.effects] == [('torque_gain', 'joint1')]
     assert with_changes(true).arm.mass[2] == pytest.approx(1.2 * believed.arm.mass[2])
+
+
+def test_outcomes_are_read_back_by_job(tmp_path):
+    found = {Job('light', 'single', 3, 20.0): Outcome(
+        'backlash joint2', False, 0.01, 'found', True, False, 0.2, float('nan'), 31.0, 500.0)}
+    keep(tmp_path / 'out.json', found)
+    (job, outcome), = kept(tmp_path / 'out.json').items()
+    assert job in found and outcome[:7] == found[job][:7] and outcome.took == 31.0
+    assert kept(tmp_path / 'none.json') == kept(None) == {}
