@@ -5,6 +5,8 @@
 
 from pathlib import Path
 
+from bench.real_machines.machines import BAND, MACHINES
+from bench.real_machines.split import identified, model_rms
 from bench.real_machines.torsion import study
 from gms_flex_control.data.csv_import import import_csv
 from gms_flex_control.data.reader import read_recording
@@ -34,3 +36,16 @@ def test_flexibility_of_the_kr300_is_an_encoder_skew(tmp_path):
     main = result.findings[0]
     assert main.effect == 'encoder_skew' and -0.0035 < main.parameters['delay'] < -0.002
     assert result.gap.after[0] < 0.25 * result.gap.before[0]
+
+
+def test_what_emps_is_known_to_have_is_found_and_predicts_pulses_of_force():
+    """Low-speed shape, ripple and delay; no limit of the drive, which gives twice the torque."""
+    machine = MACHINES['emps']
+    fitted, pulses = ([machine.recording(piece) for piece in pieces] for pieces in (
+        machine.splits[0].fitted, machine.splits[0].held_out))
+    robot, _ = identified(machine, fitted)
+    result = find_discrepancy(fitted, robot)
+    named = {one.effect for one in result.named}
+    assert all(named & set(one.effects) for one in machine.known)
+    assert 'actuator_saturation' not in {spec.name for spec in result.robot.effects}
+    assert model_rms(pulses, result.robot, BAND) < 0.8 * model_rms(pulses, robot, BAND)

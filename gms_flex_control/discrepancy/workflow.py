@@ -135,7 +135,7 @@ def _compared(motions, holdout, robot, options, say):
     whole = whole if left else found
     after = _written(likelihood, found, whole, held_out, [
         searched.best, predicting_subset(likelihood, whole, held_out)] if more else [],
-        {one.key for one in findings if one.main})
+        {one.key: one.main for one in findings})
     if after is not found.best:
         gap = held_out.gap(found.before, after)
     result = _result(likelihood, found, searched, after, findings, left, gap)
@@ -230,16 +230,17 @@ def _may_be_named(gap):
     return gap.energy_ratio <= MOST_LEFT and not worse
 
 
-def _written(likelihood, found, whole, held_out, further, main):
+def _written(likelihood, found, whole, held_out, further, named):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
-    That with the effects found, unless another is clearly better: with fewer, with such as only
+    That with the effects found, if they are ``named`` (dict of key to whether it is main) or
+    explain more than they leave, unless another is clearly better: with fewer, with such as only
     resemble what is missing, ``further`` States, or known parameters as given. None is written
     that predicts torque, the drive's torque or free runs worse than the model as given, which may
     have been fitted to the blocks left out, or effects worse than re-tuning alone; where one of
-    them is ``main`` (set of keys), not by what matters, and not clearly. A known parameter beyond
-    its prior takes no effect's place: it is a wrong belief.
+    them is main, not by what matters, and not clearly. A known parameter beyond its prior takes no
+    effect's place: it is a wrong belief.
     """
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
@@ -250,33 +251,36 @@ def _written(likelihood, found, whole, held_out, further, main):
 
     def is_safe(state):
         effects = state.key(known)
-        matters = bool(effects & main)
+        matters = any(named.get(key) for key in effects)
         return not (held_out.worsens(
             state, given, matters * (WORSE if held_out.other else NOT_CLEARLY))
             or effects and held_out.worsens(state, found.before, matters * NOT_CLEARLY))
     others = [found.before, whole.best, *(best[size] for size in sorted(best)[:_SIZES]), *further]
-    safe = is_safe(found.best)
+
+    def is_written(state):
+        return is_safe(state) and (held_out.other or _may_stand_in(
+            likelihood, held_out, state, found.before, named))
+    safe = is_written(found.best)
     if not safe:
         others.append(as_given(likelihood, found.best, found.nuisances))
-    others = [one for one in others if is_safe(one) and (
-        held_out.other or _may_stand_in(likelihood, held_out, one, found))]
+    others = [one for one in others if is_written(one)]
     other = min((given, *others), key=held_out.energy)
     if safe and CLEARLY * held_out.energy(other) >= held_out.energy(found.best):
         return found.best
     return other
 
 
-def _may_stand_in(likelihood, held_out, state, found):
+def _may_stand_in(likelihood, held_out, state, before, named):
     """
-    Return whether a State may be written that may have other effects than those found.
+    Return whether a State may be written that may have other effects than those ``named``.
 
-    Others must explain more than they leave. Blocks of a recording are much like what was
-    fitted: what only resembles the cause must show more there than on other recordings.
+    Others must explain more than they leave, of what the State ``before`` leaves. Blocks of a
+    recording are much like what was fitted: what only resembles the cause must show more there
+    than on other recordings.
     """
     left, whole = (np.sum((held_out.errors(one).torque / likelihood.coulomb) ** 2)
-                   for one in (state, found.before))
-    return (state.key(likelihood.known) <= found.best.key(likelihood.known)
-            or left < MOST_LEFT * whole)
+                   for one in (state, before))
+    return state.key(likelihood.known) <= named.keys() or left < MOST_LEFT * whole
 
 
 def _tried(found):
