@@ -5,7 +5,13 @@
 
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.outcome import NOT_IDENTIFIABLE
-from gms_flex_control.identification.uncertainty import clustered, estimates_of, Spread
+from gms_flex_control.identification.uncertainty import (
+    clustered,
+    estimates_of,
+    inverse_of,
+    memory_of,
+    Spread,
+)
 import numpy as np
 import pytest
 
@@ -109,3 +115,22 @@ def test_a_covariance_of_few_blocks_is_wider_than_chance_and_never_narrower_than
     wide = clustered(np.eye(1), scores, 1.0)
     assert wide[0, 0] == pytest.approx(10 / 9 * (2.262 / 1.960) ** 2 * 10.0, rel=1e-3)
     assert clustered(np.eye(1), 0.0 * scores, 3.0)[0, 0] == pytest.approx(3.0)
+
+
+def test_numbers_that_the_data_hardly_tell_apart_are_vague_whatever_rounding_does():
+    """Six numbers that three combinations determine: no variance is negative or nothing."""
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        seen = rng.standard_normal((6, 3))
+        inverse = inverse_of(1e6 * seen @ seen.T + np.diag(rng.uniform(0.0, 1e-6, 6)))
+        variance = np.diag(clustered(inverse, rng.standard_normal((8, 3)) @ seen.T, 1.0))
+        assert np.all(np.isfinite(variance)) and np.all(variance > 1.0)
+
+
+def test_numbers_of_a_prior_alone_say_nothing_of_how_far_samples_are_alike():
+    """Seven samples are alike; half of the numbers no sample changes."""
+    rng, information = np.random.default_rng(0), np.array([4.0, 9.0, 25.0, 0.0, 0.0, 0.0])
+    precision = np.full(6, 1e-2)
+    inverse = inverse_of(np.diag(information + precision))
+    scores = np.sqrt(7.0 * information / 400) * rng.standard_normal((400, 6))
+    assert memory_of(inverse, precision, scores) == pytest.approx(7.0, rel=0.1)

@@ -38,7 +38,12 @@ from gms_flex_control.identification.inertial_parameters import (
     UNITS,
 )
 from gms_flex_control.identification.segments import drive_sides, rigid_where
-from gms_flex_control.identification.uncertainty import block_sums, clustered, inverse_of
+from gms_flex_control.identification.uncertainty import (
+    block_sums,
+    clustered,
+    inverse_of,
+    memory_of,
+)
 from gms_flex_control.params.arm import ArmParams, at_end, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -237,7 +242,7 @@ class _Fit:
         precision[self._parts[0]] = (_VAGUE_SD * own[self._lead]) ** -2.0
         precision[self._parts[4]] = np.sum(rows.coupled ** 2, axis=(0, 1)) / np.sum(
             rows.torque[:, self._shared] ** 2)
-        weighting = None
+        self._precision, weighting = precision, None
         for k in range(_ROUNDS if len(self._free) else 1):
             model = self._torque()
             columns = self._columns(model)
@@ -277,9 +282,9 @@ class _Fit:
         """
         Return covariance and inverse of the normal matrix (P, P).
 
-        How many samples count as one is measured by all base parameters together: noise of
-        encoders counts less than white one, what the model lacks counts more. No parameter is
-        said to be better known than that, since few blocks agree by chance.
+        How many samples count as one is measured by all base parameters together that are
+        determined: noise of encoders counts less than white one, what the model lacks counts
+        more. No parameter is said to be better known than that, since few blocks agree by chance.
         """
         count = int(self._rows.block.max()) + 1
         scores = np.zeros((count, len(self._step)))
@@ -288,7 +293,7 @@ class _Fit:
             scores[:len(sums)] += sums
         inverse = inverse_of(self._normal)
         links = self._parts[0] if len(self._lead) else slice(None)
-        memory = np.mean((np.diag(clustered(inverse, scores, 0.0)) / np.diag(inverse))[links])
+        memory = memory_of(inverse, self._precision, scores, links)
         return clustered(inverse, scores, memory), inverse
 
     def _found_coupled(self):
@@ -317,9 +322,9 @@ class _Fit:
             com = np.array(moment) / mass
             slopes = np.concatenate([-com[:, None], np.eye(3)], axis=1) / mass
             turn = self._arm.frames.end_rotation.T
-            spread = turn @ slopes @ own @ slopes.T @ turn.T
+            spread = np.maximum(np.diag(turn @ slopes @ own @ slopes.T @ turn.T), 0.0)
             found[r] = FoundLoad(at_end(body_of(self._load_values[r]), self._arm.frames),
-                                 float(np.sqrt(own[0, 0])), np.sqrt(np.diag(spread)))
+                                 float(np.sqrt(own[0, 0])), np.sqrt(spread))
         return found
 
     def nearest(self) -> ArmParams:

@@ -44,6 +44,7 @@ _BEYOND = 3.0           # times the reach of presliding: a block that slips late
 _STILL_FALLS = 0.05     # of F_s - F_c, left at the highest velocity: F_c is beyond the data
 _LONGEST_MEMORY = 2.0   # of an innovation that is looked for [s]
 _SMALL_STEP = 1e-4      # of a free number, for a derivative
+_LEAST_DETERMINED = 1e-3  # numbers
 _NAMES = ('static', 'coulomb', 'velocity', 'viscous')
 _UNITS = ('N m', 'N m', 'rad/s', 'N m s/rad')
 _NEEDS = {
@@ -109,18 +110,39 @@ def clustered(inverse: np.ndarray, scores: np.ndarray, dispersion: float) -> np.
     """
     off, blocks = scores - scores.mean(axis=0), max(len(scores), 2)
     few = blocks / (blocks - 1) * (student.ppf(_UPPER, blocks - 1) / CONFIDENT) ** 2
-    alike = dispersion * inverse
-    sandwich = few * inverse @ (off.T @ off) @ inverse + 1e-12 * alike  # never singular
-    least, own = (np.sqrt(np.maximum(np.diag(one), 1e-300)) for one in (alike, sandwich))
-    wider = np.maximum(least / own, 1.0)
-    return sandwich * np.outer(wider, wider)
+    half, alike = off @ inverse, dispersion * inverse
+    sandwich = few * half.T @ half + 1e-12 * alike  # never singular
+    least = np.maximum(np.diag(alike), 0.0)
+    own = np.maximum(np.diag(sandwich), 1e-12 * least + 1e-300)
+    wider = np.sqrt(np.maximum(least / own, 1.0))
+    covariance = sandwich * np.outer(wider, wider)
+    np.fill_diagonal(covariance, np.maximum(least, own))  # rounding may have made it negative
+    return covariance
+
+
+def memory_of(inverse: np.ndarray, precision: np.ndarray, scores: np.ndarray,
+              kept=slice(None)) -> float:
+    """
+    Return how many samples count as one, by numbers ``kept``, see `clustered`.
+
+    What only priors of ``precision`` (P,) determine does not scatter with the data, and tells
+    nothing.
+    """
+    scatter = np.diag(clustered(inverse, scores, 0.0)) / np.diag(inverse)
+    determined = 1.0 - precision @ inverse ** 2 / np.diag(inverse)
+    return float(np.sum(scatter[kept]) / max(np.sum(determined[kept]), _LEAST_DETERMINED))
 
 
 def inverse_of(curvature: np.ndarray) -> np.ndarray:
-    """Return the inverse of a curvature (P, P) whose numbers have very different scales."""
+    """
+    Return the inverse of a curvature (P, P) whose numbers have very different scales.
+
+    What rounding hides is as uncertain as rounding allows.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
-    return np.linalg.pinv(curvature * np.outer(scale, scale), rcond=1e-12,
-                          hermitian=True) * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(curvature * np.outer(scale, scale))
+    half = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    return half @ half.T
 
 
 def estimates_of(joint: str, coordinates: Coordinates, free: np.ndarray, spread: Spread,
