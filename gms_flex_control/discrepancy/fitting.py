@@ -279,6 +279,8 @@ def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=
     model, best = likelihood.fitted(robot, x), None
     for _ in range(_ANCHORED):
         found = _descended(likelihood, model, columns, first, plausible, iterations)
+        if not likelihood.encoder_noise.is_foreseen(robot):
+            return found
         model = likelihood.exact(found)
         if best is None or _total(likelihood, model) < _total(likelihood, best):
             best = model

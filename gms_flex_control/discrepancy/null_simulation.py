@@ -271,9 +271,13 @@ class EncoderNoise:
         kept = self._anchors.get(key)
         if kept is None or kept[0] != effects or not np.array_equal(kept[1], x):
             kept = effects, x.copy(), simulated()
-            if self._by_effect.keys() >= set(key):  # else nobody knows where it goes from there
+            if self.is_foreseen(robot):
                 self._anchors[key] = kept
         return kept[2]
+
+    def is_foreseen(self, robot) -> bool:
+        """Return whether it is known how noise shows in all effects that were added."""
+        return self._by_effect.keys() >= set(self._added(robot))
 
     def _added(self, robot):
         return tuple((spec.name, spec.joint) for spec in robot.effects[self._known:])
