@@ -23,7 +23,6 @@ from gms_flex_control.discrepancy.validation import (
     FOLDS,
     Gain,
     gain_of,
-    of_blocks,
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.params.robot import EffectSpec
@@ -169,19 +168,3 @@ def test_a_delay_and_a_lag_are_told_apart_in_a_closed_loop(seed, effect):
     first = result.findings[0]
     assert (first.effect, first.joint) == (effect, hidden.joint)
     assert next(iter(first.parameters.values())) == pytest.approx(hidden.values[0], rel=0.05)
-
-
-def test_held_out_data_do_not_blame_a_model_for_the_noise_of_encoders():
-    """Links half as heavy again make half as much again of all that is read wrongly."""
-    case = make_case('clean', 5, population='encoders_coarse', duration=20.0)
-    likelihood = likelihood_of(case)
-    spec = EffectSpec(name='link_inertia_error', joint='joint2', values=(0.5,))
-    likelihood.encoder_noise.learn(likelihood, replace(spec, values=(0.1,)), [(0, (0.1,))])
-    heavy = likelihood.exact(likelihood.fitted(
-        with_effect(likelihood.robot, spec), np.zeros(len(likelihood.nuisances))))
-    noise = likelihood.added_noise(heavy)
-    assert noise.max() > 0.5
-    rows, weight, every = likelihood.clean[0], np.ones(len(noise)), np.ones(len(noise), dtype=bool)
-    np.testing.assert_allclose(
-        of_blocks(likelihood, every, rows * np.sqrt(1.0 + np.maximum(noise, 0.0)), weight,
-                  np.maximum(noise, 0.0)), of_blocks(likelihood, every, rows, weight))

@@ -238,11 +238,6 @@ class Likelihood:
                 * self.encoder_noise.informative(model.robot, numbers)
                 ) @ self.noise_cleared(model, weight)
 
-    def added_noise(self, model) -> np.ndarray:
-        """Return the variance (R,) of rows that sums are cleared of."""
-        added = self.groups.sums(model.rows ** 2) - model.sums.groups
-        return (added / self.groups.count)[self.groups.group]
-
     def noise_cleared(self, model, weight) -> np.ndarray:
         """Return the noise (R,) that sums are cleared of, so weighted."""
         return 0.5 * weight * model.sums.cleared[self.groups.group] * self.encoder_noise.along(

@@ -26,7 +26,6 @@ _FEWEST, _MOST = 8, 60  # samples of it
 _EDGE = 0.5           # at both ends, where smoothing is not settled [s]
 _LEAST = 4            # rows per number that is fitted: fewer decide nothing
 _RIDGE = 1e-12        # of the mean square
-_LEAST_NOISE = 0.25   # of the variance of null simulations that lighter links have
 
 
 class Gain(NamedTuple):
@@ -44,20 +43,15 @@ class Gain(NamedTuple):
 
 def _predicted(likelihood, model, columns, plausible):
     """Return the log likelihood of blocks, each predicted from the others, shape (B,)."""
-    weight, noise = likelihood.weights(model.sums.groups), likelihood.added_noise(model)
-    return sum(of_blocks(likelihood, left_out, model.rows + step @ columns, weight, noise)
+    weight = likelihood.weights(model.sums.groups)
+    return sum(of_blocks(likelihood, left_out, model.rows + step @ columns, weight)
                for left_out, step in steps(likelihood, model, columns, plausible))
 
 
-def of_blocks(likelihood, left_out, rows, weight, noise=0.0) -> np.ndarray:
-    """
-    Return the log likelihood of blocks (B,), of rows (R,) that are left out, so weighted.
-
-    ``noise`` is the variance that encoders add to that of null simulations: heavier links make
-    more torque of all that is read wrongly, and readings are no less likely for it.
-    """
-    squares = rows ** 2 * weight / np.maximum(1.0 + weight * noise, _LEAST_NOISE)
-    density = 0.5 * np.log(weight) - 0.5 * (_DEGREES + 1.0) * np.log1p(squares / _DEGREES)
+def of_blocks(likelihood, left_out, rows, weight) -> np.ndarray:
+    """Return the log likelihood of blocks (B,), of rows (R,) that are left out, so weighted."""
+    density = (0.5 * np.log(weight)
+               - 0.5 * (_DEGREES + 1.0) * np.log1p(rows ** 2 * weight / _DEGREES))
     return np.bincount(likelihood.groups.block[left_out], density[left_out],
                        likelihood.groups.blocks)
 
