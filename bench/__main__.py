@@ -16,6 +16,7 @@ GROUPS = {
                         'faults': 'bench.faults.faults'},
     'on robots that are simulated': {
         'recover': 'bench.recover', 'coverage': 'bench.coverage',
+        'paper-method': 'bench.paper_method.paper_method',
         'hide': 'bench.hidden_robots.hide', 'score': 'bench.hidden_robots.score',
         'hidden-arms': 'bench.hidden_arms.hidden_arms',
         'base-parameters': 'bench.hidden_arms.base_parameters', 'learn': 'bench.learn',
@@ -34,6 +35,7 @@ EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
     'faults': ('--list', '--short --logs fault_logs'),
     'recover': ('--seeds 3', '--seeds 20 --out recovery'),
     'coverage': ('--seeds 100:104 --out coverage',),
+    'paper-method': ('demo_identify_output/bag', 'my_bag --robot robot.yaml'),
     'hide': ('--effect backlash --out hidden', '--kind single double --seeds 0:5 --out hidden'),
     'score': ('--out quick', '--kind single --seeds 0:20 --no-peers --out singles'),
     'hidden-arms': ('--seeds 0:5 --clean 0:2', '--arms light --seeds 10:20 --clean 0:0'),

@@ -43,7 +43,7 @@ def identification(joints=2, **changes):
     robot = replace(truth, friction=padded(truth.friction, 1.0 + WIGGLE))
     believed = replace(truth, friction=padded(truth.friction, 0.8))
     fields = {
-        'method': 'default', 'robot': robot, 'believed': believed, 'sources': ('bags/a', 'bags/b'),
+        'robot': robot, 'believed': believed, 'sources': ('bags/a', 'bags/b'),
         'joints': tuple(joint_result(robot, truth, j) for j in range(joints)), 'holdouts': (),
         'duration': 412.5, 'period': 2e-3, 'warnings': ('3 samples were lost.',),
         'seconds': 21.7, 'recorded': '2026-03-01 14:05 UTC'}

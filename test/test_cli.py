@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 VERBS = tool.VERBS
 OF_BENCH = tuple(verb for group in bench.GROUPS.values() for verb in group)
 WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export', 'coverage', 'learn', 'real-machines',
-                 'hidden-arms', 'base-parameters', 'growth', 'real-arm'}
+                 'hidden-arms', 'base-parameters', 'growth', 'real-arm', 'paper-method'}
 
 
 def tool_of(verb):

@@ -144,7 +144,7 @@ def test_what_identify_left_open_is_determined_by_the_motion_planned(
     names = {'friction.joint2.stiffness[0]': 'not identifiable',
              'friction.joint2.attraction': 'doubtful', 'friction.joint2.forward.coulomb': 'good'}
     (tmp_path / 'report.json').write_text(json.dumps({
-        'method': 'least squares', 'sources': [str(tmp_path / 'bag')], 'joints': [{
+        'sources': [str(tmp_path / 'bag')], 'joints': [{
             'joint': 'joint2', 'estimates': [
                 {'name': name, 'standing': standing} for name, standing in names.items()]}]}))
     assert missing_of(json.loads((tmp_path / 'report.json').read_text())) == [

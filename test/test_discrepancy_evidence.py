@@ -18,7 +18,7 @@ from gms_flex_control.discrepancy.evidence import (
 )
 from gms_flex_control.discrepancy.fitting import extended
 from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums, with_effect
-from gms_flex_control.effects.guess import Scales
+from gms_flex_control.effects.guess import Scales, Travel
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
@@ -81,7 +81,8 @@ def test_an_effect_has_the_odds_of_one_among_all_against_it():
     arm = SimpleNamespace(rigid=[True], stiffness=[np.inf])
     with_one = Fitted(SimpleNamespace(effects=(told,), joints=('j',), arm=arm), model.x,
                       model.rows, model.sums)
-    given.scales_of = lambda joint: Scales(0.1, 1.0, 0.0, 0.0, 1.0, 0.01, 0.1, -1.0, 1.0, 2.0,
+    given.scales_of = lambda joint: Scales(0.1, 1.0, 0.0, 0.0, 1.0, 0.01, 0.1, Travel(-1.0, 1.0),
+                                           2.0,
                                            20.0)
     columns = np.concatenate([slopes, np.zeros((1, 12))])
     one = [state_of(given, with_one, columns, count).evidence for count in (2, 200)]

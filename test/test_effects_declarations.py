@@ -6,14 +6,14 @@
 from gms_flex_control.discrepancy.remainder import VARIABLES
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.base import Stage, Term
-from gms_flex_control.effects.guess import Scales
+from gms_flex_control.effects.guess import Scales, Travel
 import numpy as np
 import pytest
 
 pytestmark = pytest.mark.fast
 
 SCALES = Scales(friction=0.1, torque=0.5, spring=0.3, torsion=0.2, speed=0.5, inertia=0.005,
-                link_inertia=0.1, lowest=-1.0, highest=1.0, turned=2.0, duration=20.0, supply=12.0,
+                link_inertia=0.1, travel=Travel(-1.0, 1.0), turned=2.0, duration=20.0, supply=12.0,
                 mass=2.5)
 
 

@@ -115,8 +115,8 @@ def test_report_json_is_strictly_valid_and_complete(tmp_path):
         raise AssertionError(f'{name} is not JSON')
     told = json.loads((tmp_path / 'report.json').read_text('utf-8'), parse_constant=refuse)
     assert told == report_json(made)
-    assert (told['method'], told['duration'], told['sources'], told['warnings']) == (
-        'default', 412.5, ['bags/a', 'bags/b'], ['3 samples were lost.'])
+    assert (told['duration'], told['sources'], told['warnings']) == (
+        412.5, ['bags/a', 'bags/b'], ['3 samples were lost.'])
     first, second = told['joints']
     assert first['held_out']['repeatability'] is first['held_out']['free_run_rms'] is None
     assert first['held_out']['torque_rms'] == 0.5 and first['side'] == 'spring'

@@ -241,8 +241,8 @@ def _report(folder):
     path = Path(folder) / 'report.json'
     try:
         report = json.loads(path.read_text(encoding='utf-8'))
-        keys = ('sources', 'joints') if report.get('method') else (
-            'sources', 'credible', 'findings', 'minor')
+        keys = ('sources', 'credible', 'findings', 'minor') if 'credible' in report else (
+            'sources', 'joints')
         sources = [report[name] for name in keys][0]
     except OSError as error:
         raise ConfigError(f'{path}: cannot be read ({error.strerror}); name a folder that '

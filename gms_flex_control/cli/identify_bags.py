@@ -66,8 +66,7 @@ def _write_results(found, out, robot=(), becomes=None):
 
 
 def _options_of(args):
-    chosen = {'method': args.method, 'force': args.force,
-              'estimate': 'all' if args.robot is None else args.estimate}
+    chosen = {'force': args.force, 'estimate': 'all' if args.robot is None else args.estimate}
     if args.blocks:
         wrong = [n for n in args.blocks if not 1 <= n <= MOST_BLOCKS]
         if wrong:

@@ -173,8 +173,6 @@ _IDENTIFY = Verb(
         out_folder('folder for the results'),
         option('--holdout', nargs='+', default=[], metavar='BAG',
                help='bags that are only predicted; default: every fourth block of 2 s'),
-        option('--method', choices=('default', 'paper'), default='default',
-               help='default: all parameters together; paper: its section 4'),
         option('--estimate', choices=('friction', 'all'), default='friction',
                help='all: inertia, gravity, stiffness, motor inertia as well'),
         option('--blocks', type=int, nargs='+', metavar='N',

@@ -25,7 +25,7 @@ from gms_flex_control.data.signal_analysis import (
 )
 from gms_flex_control.dynamics import chain
 from gms_flex_control.dynamics.chain import own_inertia
-from gms_flex_control.effects.guess import Scales
+from gms_flex_control.effects.guess import Scales, Travel
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.arm import at_last_link, Body, why_not_carried
 from gms_flex_control.simulation import plant
@@ -287,7 +287,7 @@ def scales_of(motions, robot) -> list:
                 robot.friction.forward, robot.friction.backward)])),
             torque=float(np.abs(torque).max()), spring=spring, torsion=torsion, speed=speed,
             inertia=float(arm.motor_inertia[j]), link_inertia=float(arm.link_inertia[j]),
-            mass=float(arm.mass.sum()), lowest=float(link.min()), highest=float(link.max()),
+            mass=float(arm.mass.sum()), travel=Travel(float(link.min()), float(link.max())),
             turned=float(np.ptp(motor)),
             duration=float(max(one.time[-1] - one.time[0] for one in motions)),
             supply=min(float(one.supply.mean()) for one in motions),

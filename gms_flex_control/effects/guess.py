@@ -16,6 +16,18 @@ import numpy as np
 HIGHEST_ORDER = 48.0  # of waves over the motor angle that are guessed; data show finer ones
 
 
+class Travel(NamedTuple):
+    """Between which angles a link moved."""
+
+    lowest: float   # [rad]
+    highest: float  # [rad]
+
+    @property
+    def span(self) -> float:
+        """Return the distance of both [rad]."""
+        return self.highest - self.lowest
+
+
 class Scales(NamedTuple):
     """What a recording and its model set as usual sizes on one joint."""
 
@@ -26,8 +38,7 @@ class Scales(NamedTuple):
     speed: float      # rms of the link's rate [rad/s]
     inertia: float    # J [kg m^2]
     link_inertia: float  # about the joint [kg m^2]
-    lowest: float     # smallest link angle [rad]
-    highest: float    # largest link angle [rad]
+    travel: Travel    # of the link
     turned: float     # span of the motor angle [rad]
     duration: float   # [s]
     supply: float = 0.0  # mean voltage of the supply [V]; 0 where it is not known

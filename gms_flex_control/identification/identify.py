@@ -29,7 +29,6 @@ from gms_flex_control.identification.objective import (
     observer_bandwidth,
 )
 from gms_flex_control.identification.outcome import Identification, JointResult
-from gms_flex_control.identification.paper.method import NOT_HELD_OUT, paper_fits
 from gms_flex_control.identification.prediction_error import (
     coupling_sentences,
     held_out_errors,
@@ -68,7 +67,6 @@ _VELOCITIES = 200
 class Options:
     """How to identify."""
 
-    method: str = 'default'      # all parameters together; 'paper': as its section 4
     estimate: str = 'friction'   # 'all': inertia, gravity, stiffness, motor inertia as well
     blocks: tuple = CANDIDATES   # numbers of blocks to try
     force: bool = False          # go on in spite of faults in the data
@@ -125,7 +123,6 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
         say('intervals and errors on data held out')
         joints, arm = data.results(fits)
     return Identification(
-        method=options.method,
         robot=replace(arm if whole else robot, friction=_friction_params(fits)),
         believed=robot,
         joints=joints, sources=tuple(take.source for take, _ in takes),
@@ -194,14 +191,11 @@ class Data:
             tuple(segments), arm, period, half,
             observer_bandwidth(arm, coulomb, half, self.step / 3.0, period),
             self.arm_fit.extras() if whole else (None,) * robot.n_joints)
-        self.choices = self._paper_spreads = ()
+        self.choices = ()
         self._sources = [take.source for take, _ in takes]
 
     def fit(self, options, say) -> list:
         """Return a JointFit per joint."""
-        if options.method == 'paper':
-            fits, self._paper_spreads = paper_fits(self.bundle)
-            return fits
         extras = [np.zeros(len(self.arm_fit.units[j]) if self.arm_fit else 0)
                   for j in range(self.robot.n_joints)]
         fits = fit_all(self.bundle, self.starts, extras, blocks=options.blocks, say=say)
@@ -213,9 +207,8 @@ class Data:
     def results(self, fits) -> tuple:
         """Return a JointResult per joint, and the robot with the arm found."""
         thetas = [fit.theta for fit in fits]
-        spreads = self._paper_spreads or _per_joint(
-            len(fits), lambda j: self.choices[j].spread or spread_of(
-                Objective(self.bundle, j, thetas), fits[j]))
+        spreads = _per_joint(len(fits), lambda j: self.choices[j].spread or spread_of(
+            Objective(self.bundle, j, thetas), fits[j]))
         further, robot = [()] * len(fits), self.described
         if self.arm_fit and self.arm_fit.final:
             further = self.arm_fit.final
@@ -257,8 +250,6 @@ class Data:
         name, theta = self.robot.joints[joint], fit.theta
         coupled = coupling_sentences(objective, self.bundle, theta, self.robot.joints,
                                      held_out(self.bundle.period), self._apart)
-        if self._paper_spreads:
-            return coupled if self._apart else (NOT_HELD_OUT, *coupled)
         rippled = ripple_sentences(objective, self.bundle, theta, name)
         return (*self.choices[joint].sentences, *_few_blocks(fit), *rippled, *coupled)
 

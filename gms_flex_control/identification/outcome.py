@@ -133,7 +133,6 @@ class JointResult:
 class Identification:
     """Outcome of `gms_flex identify`."""
 
-    method: str           # 'default' or 'paper'
     robot: RobotParams    # with what was identified
     believed: RobotParams  # as it was described
     joints: tuple         # of JointResult, in the robot's order
@@ -311,7 +310,7 @@ def data_sentence(identification: Identification) -> str:
     held = (f"held out: {', '.join(identification.holdouts)}" if identification.holdouts
             else 'blocks of time held out')
     return (f'{identification.duration:.4g} s at {1.0 / identification.period:.4g} Hz from '
-            f'{names}{recorded}; method {identification.method}, {held}')
+            f'{names}{recorded}; {held}')
 
 
 def known_values(robot: RobotParams, found: RobotParams, joint: str) -> dict:

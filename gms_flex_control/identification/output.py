@@ -47,8 +47,8 @@ def report_json(identification: Identification) -> dict:
     """Return an identification as plain data for JSON, without the long arrays; None for NaN."""
     words = identification.in_units
     return plain({
-        'format': REPORT_FORMAT, 'version': __version__, 'method': identification.method,
-        'sources': identification.sources, 'holdouts': identification.holdouts,
+        'format': REPORT_FORMAT, 'version': __version__, 'sources': identification.sources,
+        'holdouts': identification.holdouts,
         'recorded': identification.recorded, 'duration': identification.duration,
         'period': identification.period, 'seconds': identification.seconds,
         'warnings': plain(identification.warnings, words),

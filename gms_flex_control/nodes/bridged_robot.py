@@ -34,9 +34,9 @@ class BridgedRobot(SupervisedRobot):
 
     def __init__(self, node, values, joints):
         motors = values['motors'] or ('',) * len(joints)
-        self._node, self._health = node, node.health
+        self._health = node.health
         self._bridge = Bridge(bridge_from_values(values, joints, motors))
-        self._supervisor, self._map = self._bridge.supervisor, self._bridge.params.joint_map
+        self._supervisor = self._bridge.supervisor
         self._lock = node.direct.lock
         self._steady = time.time_ns() - time.monotonic_ns()
         self._said = None
@@ -47,7 +47,7 @@ class BridgedRobot(SupervisedRobot):
         self._ends, self._passed = False, 0
         self._foresight, self._ahead = None, None  # what was sent ahead, and when
         link, boxes = DeviceLink if values['bridge.device'] else TopicLink, []
-        self._link = link(node, self, values, self._map.command_names, boxes)
+        self._link = link(node, self, values, self._bridge.params.joint_map.command_names, boxes)
         Inbox(node, Float64MultiArray, 'effort_controller/commands', self._on_command,
               boxes=boxes)
 
@@ -93,7 +93,7 @@ class BridgedRobot(SupervisedRobot):
         stamp, source = messages.read_marks(message)
         with self._lock:
             try:
-                torque = messages.read_command(message, len(self._map.joints))
+                torque = messages.read_command(message, len(bridge.params.joint_map.joints))
             except messages.RefusedError as error:
                 bridge.refuse_command(str(error))
                 self._health.warn('command', f'command refused: {error}')
@@ -114,7 +114,7 @@ class BridgedRobot(SupervisedRobot):
 
     def _send(self):
         """Send what the bridge gives, unless just that was sent ahead."""
-        efforts = self._map.efforts(self._bridge.torque).tolist()
+        efforts = self._bridge.params.joint_map.efforts(self._bridge.torque).tolist()
         ahead, self._ahead = self._ahead, None
         if ahead is not None and ahead[0] == efforts:
             return

@@ -25,7 +25,7 @@ class PositionFriction(Term):
                   searched=(LEAST_RELATIVE, -LEAST_RELATIVE)),
         Parameter('order', '1', 'periods per revolution', lower=0.0, searched=(0.7, math.inf)),
         Parameter('phase', 'rad', 'phase at q_link = 0'))
-    guesses = staticmethod(lambda s: waves(0.1, orders(s.highest - s.lowest, 6.0)))
+    guesses = staticmethod(lambda s: waves(0.1, orders(s.travel.span, 6.0)))
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
@@ -124,11 +124,11 @@ class FrictionHysteresis(Term):
         Parameter('force', 'N m', 'torque of all elements once they yield', lower=0.0,
                   typical=lambda s: 0.3 * s.friction),
         Parameter('reach', 'rad', 'largest displacement at which one yields', lower=0.0,
-                  typical=lambda s: 0.1 * (s.highest - s.lowest)))
+                  typical=lambda s: 0.1 * s.travel.span))
 
     @staticmethod
     def guesses(scales) -> list:
-        span = scales.highest - scales.lowest
+        span = scales.travel.span
         return shapes(0.1 * scales.friction, span * np.geomspace(1e-3, 0.2, 6)) if span else []
 
     @staticmethod
@@ -164,13 +164,13 @@ class FrictionBacklash(Term):
         Parameter('force', 'N m', 'torque once it slips', lower=0.0,
                   typical=lambda s: 0.3 * s.friction),
         Parameter('half_gap', 'rad', 'half width of the play', lower=0.0,
-                  typical=lambda s: 0.1 * (s.highest - s.lowest)),
+                  typical=lambda s: 0.1 * s.travel.span),
         Parameter('reach', 'rad', 'displacement beyond the play at which it slips', lower=0.0,
-                  typical=lambda s: 0.1 * (s.highest - s.lowest)))
+                  typical=lambda s: 0.1 * s.travel.span))
 
     @staticmethod
     def guesses(scales) -> list:
-        span, size = scales.highest - scales.lowest, _FORCE * scales.friction
+        span, size = scales.travel.span, _FORCE * scales.friction
         if not (scales.rigid and span):
             return []
         return [Guess(((size, gap, reach),), lambda c, gap=gap, reach=reach: (

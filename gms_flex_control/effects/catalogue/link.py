@@ -151,9 +151,9 @@ class EndStop(Term):
 
     @staticmethod
     def guesses(scales) -> list:
-        span, stiffness = scales.highest - scales.lowest, scales.friction / 0.05
+        span, stiffness = scales.travel.span, scales.friction / 0.05
         inside = span * np.array([0.02, 0.05, 0.1, 0.18])
-        above, below = scales.highest - inside, scales.lowest + inside
+        above, below = scales.travel.highest - inside, scales.travel.lowest + inside
         return [Guess(((angle, stiffness),), lambda c, angle=angle: (angle, c[0] * stiffness), 0.0)
                 for angle in (*above[above > 0.0], *below[below < 0.0])]
 

@@ -12,7 +12,7 @@ from gms_flex_control.identification.segments import drive_sides, half_count, se
 from gms_flex_control.params.robot import EncoderParams
 import numpy as np
 
-CONFIG = Path(__file__).parents[1] / 'config'
+CONFIG = Path(__file__).parents[2] / 'config'
 SHORT = {'identification.speeds': 6, 'identification.repeats': 1,
          'identification.break_away_repeats': 1, 'identification.presliding_places': 1}
 

@@ -5,14 +5,14 @@
 
 from dataclasses import replace
 
-from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
-from gms_flex_control.identification.paper.method import (
+from bench.paper_method.method import (
     fit_map,
     fit_paper,
     N_BLOCKS,
     steady_torque,
 )
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
 import numpy as np
 from paper_experiment import experiment, hidden, unnamed
 import pytest

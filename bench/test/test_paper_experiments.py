@@ -3,8 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Phases told from the data alone agree with those that the experiment wrote down."""
 
-from gms_flex_control.identification.paper import experiments as phases
-from gms_flex_control.identification.paper.experiments import label, runs
+from bench.paper_method import experiments as phases
+from bench.paper_method.experiments import label, runs
 import numpy as np
 from paper_experiment import experiment
 import pytest

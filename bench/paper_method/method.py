@@ -12,31 +12,22 @@ equal weight by Nelder-Mead (FMINSEARCH) from torque over displacement in presli
 
 from typing import NamedTuple
 
-from gms_flex_control.compiled import compiled
-from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
-from gms_flex_control.identification.least_squares import prior_of
-from gms_flex_control.identification.objective import Bundle, Objective
-from gms_flex_control.identification.outcome import Candidate, CONFIDENT, Interval
-from gms_flex_control.identification.paper.experiments import (
+from bench.paper_method.experiments import (
     believable,
     label,
     presliding_pieces,
     sliding_pieces,
     steady_points,
 )
-from gms_flex_control.identification.selection import JointFit
-from gms_flex_control.identification.uncertainty import Spread
+from gms_flex_control.compiled import compiled
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.coordinates import MOST_BLOCKS
+from gms_flex_control.identification.outcome import Interval
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.simulation.predictor import (
     ATTRACTION,
     BLOCKS,
-    COULOMB,
     parameter_rows,
-    PER_DIRECTION,
-    STATIC,
-    VELOCITY,
-    VISCOUS,
 )
 import numpy as np
 from scipy.optimize import least_squares, minimize
@@ -44,8 +35,6 @@ from scipy.signal import detrend
 from scipy.stats import t as student
 
 N_BLOCKS = 6          # as in the paper
-NOT_HELD_OUT = ('the method of the paper uses all of the data: its errors are of data held out '
-                'only where --holdout names recordings')
 _FEWEST = 5           # points of the map in a direction
 _STARTS = 5           # of v_s
 _SLOWEST_TOLD = 0.5   # of the slowest motion: v_s below it leaves no trace in the map
@@ -66,51 +55,6 @@ class PaperFit(NamedTuple):
     velocity: np.ndarray  # (W,) of the points of the map [rad/s], 0 for break-away
     torque: np.ndarray    # (W,) [N m]
     presliding: float   # rms error of the presliding torque [N m]
-
-
-def paper_fits(bundle: Bundle) -> tuple[list[JointFit], list[Spread]]:
-    """
-    Identify every joint as section 4 of the paper does, in the shape of the default method.
-
-    The Spreads are of the intervals of the least-squares steps, NaN for block stiffnesses.
-    """
-    papers = [fit_paper(bundle.segments, bundle.arm, j, bundle.period, bundle.half[j])
-              for j in range(bundle.arm.n_joints)]
-    thetas = [paper.theta for paper in papers]
-    fits = [_joint_fit(bundle, j, thetas) for j in range(len(papers))]
-    return fits, [_spread(paper, fit) for paper, fit in zip(papers, fits, strict=True)]
-
-
-def _joint_fit(bundle, joint, thetas):
-    theta, coordinates = thetas[joint], Coordinates(N_BLOCKS)
-    both = [[theta[row], theta[PER_DIRECTION + row]]
-            for row in (STATIC, COULOMB, VELOCITY, VISCOUS)]
-    both[3] = np.maximum(both[3], 1e-9 * theta[COULOMB])
-    static = np.mean(both[0])
-    stiffness = np.maximum(theta[BLOCKS:BLOCKS + N_BLOCKS], 1e-12 * static)
-    free = coordinates.pack(*both, theta[ATTRACTION], static / N_BLOCKS / stiffness)
-    evaluation = Objective(bundle, joint, thetas).evaluate(coordinates, free, 1.0)
-    cost = float(evaluation.cost.sum() / evaluation.count.sum())
-    return JointFit(coordinates, free, prior_of(coordinates, free), free,
-                    (Candidate(N_BLOCKS, cost, 0.0, True),), np.zeros(len(free)),
-                    evaluation=evaluation)
-
-
-def _spread(paper, fit):
-    """Return the Spread that the paper's intervals stand for, independent of each other."""
-    variance = np.full(fit.coordinates.size, np.nan)
-    deviation = [np.nan if interval is None else (interval.high - interval.low) / 2 / CONFIDENT
-                 for interval in paper.intervals]
-    theta = paper.theta
-    for at in (0, PER_DIRECTION):
-        drop = max(theta[at + STATIC] - theta[at + COULOMB], 1e-3 * theta[at + COULOMB])
-        rest = deviation[at + STATIC] ** 2 - deviation[at + COULOMB] ** 2
-        variance[at] = (deviation[at + COULOMB] / theta[at + COULOMB]) ** 2
-        variance[at + 1] = max(rest, 0.0) / drop ** 2
-        for row in (VELOCITY, VISCOUS):
-            variance[at + row] = (deviation[at + row] / max(theta[at + row], 1e-12)) ** 2
-    variance[N_STEADY - 1] = (deviation[ATTRACTION] / theta[ATTRACTION]) ** 2
-    return Spread(np.diag(variance), np.ones(len(fit.free)))
 
 
 def fit_paper(segments, arm: ArmParams, joint: int, period: float, half: float) -> PaperFit:
