@@ -30,6 +30,7 @@ _GIVEN_WAY = 0.005   # a motor moves by that much more than friction holds [rad]
 _COUNTS = 4.0        # of the encoder that either angle is, at least
 _AVERAGE = 0.02      # time constant of the torque, and how long it follows one that stands [s]
 _HALF = 0.5          # of the torque limit
+_NOTHING = 0.01      # of the torque limit: a motor of less effort is given none
 # Friction turns round where motion does, a change by twice of it; which may be believed too small.
 _FRICTION = 3.0
 
@@ -197,3 +198,41 @@ def _count(robot):
 
 def _given_way(robot):
     return max(_GIVEN_WAY, _COUNTS * _count(robot))
+
+
+class EncoderWatch:
+    """Look for frozen encoders, state by state."""
+
+    def __init__(self, robot, torque_limit, measured):
+        self.judge = FrozenEncoders(robot, torque_limit)
+        self._measured = measured
+        self._acting, self._silent = np.zeros(robot.n_joints), np.full(robot.n_joints, np.nan)
+        self.frozen, self.began, self.count = '', False, 0   # a finding, whether it is new
+        self.use(torque_limit)
+
+    def use(self, torque_limit) -> None:
+        """Take another torque limit (n_joints,) [N m]."""
+        self.judge.use(torque_limit)
+        self.nothing = _NOTHING * torque_limit
+
+    def reset(self) -> None:
+        """Take back what was found."""
+        self.judge.reset()
+        self.frozen, self.began = '', False
+
+    def act(self, torque, efforts) -> None:
+        """
+        Take what has acted on the motors until the state that is looked at next.
+
+        ``torque`` (n_joints,) was sent; ``efforts`` are what the robot says it gave, NaN where it
+        does not measure that, empty if it says nothing [N m].
+        """
+        acting(torque, np.array(efforts) if efforts else self._silent, self.nothing, self._acting)
+
+    def look(self, elapsed) -> str:
+        """Look at the state measured, ``elapsed`` [s] after the one before; return `frozen`."""
+        before = self.frozen
+        self.frozen = self.judge.look(self._measured, self._acting, elapsed) or ''
+        self.began = bool(self.frozen) and not before
+        self.count += self.began
+        return self.frozen

@@ -143,7 +143,7 @@ def bias_torque(dq, links, work, out) -> None:
     lift = vec.scale(-1.0, vec.vector(links.gravity))  # acceleration of the frame's origin
     for i in range(n):
         place, z = vec.vector(work.place[i]), vec.vector(work.axis[i])
-        lift = vec.add(lift, _swung(omega, alpha, vec.subtract(place, origin)))
+        lift = vec.add(lift, swung(omega, alpha, vec.subtract(place, origin)))
         turn = vec.scale(dq[i], z)
         if links.revolute[i]:
             alpha = vec.add(alpha, vec.cross(omega, turn))
@@ -152,7 +152,7 @@ def bias_torque(dq, links, work, out) -> None:
             lift = vec.add(lift, vec.scale(2.0, vec.cross(omega, turn)))
         origin, centre = place, vec.vector(work.centre[i])
         force = vec.scale(links.mass[i],
-                          vec.add(lift, _swung(omega, alpha, vec.subtract(centre, place))))
+                          vec.add(lift, swung(omega, alpha, vec.subtract(centre, place))))
         own = vec.symmetric(work.about_centre[i])
         moment = vec.add(vec.symmetric_times(own, alpha),
                          vec.cross(omega, vec.symmetric_times(own, omega)))
@@ -170,7 +170,7 @@ def bias_torque(dq, links, work, out) -> None:
 
 
 @compiled
-def _swung(omega, alpha, arm):
+def swung(omega, alpha, arm) -> tuple:
     """Return the acceleration of a point at ``arm`` from a point of the same body."""
     return vec.add(vec.cross(alpha, arm), vec.cross(omega, vec.cross(omega, arm)))
 
@@ -223,87 +223,6 @@ def rigid_body(q, dq, ddq, links, work, bias, inertial) -> None:
     mass_matrix(links, work)
     bias_torque(dq, links, work, bias)
     mass_times(ddq, links, work, inertial)
-
-
-@compiled
-def regressor(q, dq, ddq, links, out) -> None:
-    """
-    Write the torque of each joint per unit of ten numbers of each link into ``out`` (n, 10 n).
-
-    At angles, rates and accelerations (n,). Of a link the numbers are mass, first moment (x, y,
-    z) and inertia about its frame (xx, xy, xz, yy, yz, zz), in that frame.
-    """
-    n, zero = links.motor_inertia.shape[0], (0.0, 0.0, 0.0)
-    frame, origin = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), zero
-    omega, alpha, lift = zero, zero, vec.scale(-1.0, vec.vector(links.gravity))
-    axes, places = np.empty((n, 3)), np.empty((n, 3))
-    out[:] = 0.0
-    for i in range(n):
-        x, y, z = vec.rotation(links.rotation[i])
-        shift = vec.combine(frame, vec.vector(links.position[i]))
-        x, y, z = vec.combine(frame, x), vec.combine(frame, y), vec.combine(frame, z)
-        angle, turn = q[i] + links.offset[i], vec.scale(dq[i], z)
-        if links.revolute[i]:
-            c, s = np.cos(angle), np.sin(angle)
-            x, y = (vec.add(vec.scale(c, x), vec.scale(s, y)),
-                    vec.subtract(vec.scale(c, y), vec.scale(s, x)))
-        else:
-            shift = vec.add(shift, vec.scale(angle, z))
-        lift, origin = vec.add(lift, _swung(omega, alpha, shift)), vec.add(origin, shift)
-        if links.revolute[i]:
-            alpha = vec.add(alpha, vec.add(vec.cross(omega, turn), vec.scale(ddq[i], z)))
-            omega = vec.add(omega, turn)
-        else:
-            lift = vec.add(lift, vec.add(vec.scale(2.0, vec.cross(omega, turn)),
-                                         vec.scale(ddq[i], z)))
-        frame = (x, y, z)
-        vec.store(axes[i], z)
-        vec.store(places[i], origin)
-        _add_columns(i, 10 * i, lift, zero, axes, places, links, out)
-        spin = (vec.dot(x, omega), vec.dot(y, omega), vec.dot(z, omega))
-        gain = (vec.dot(x, alpha), vec.dot(y, alpha), vec.dot(z, alpha))
-        column = 10 * i + 4
-        for a in range(3):
-            axis = frame[0] if a == 0 else frame[1] if a == 1 else frame[2]
-            _add_columns(i, 10 * i + 1 + a, _swung(omega, alpha, axis), vec.cross(axis, lift),
-                         axes, places, links, out)
-            for b in range(a, 3):
-                moment = vec.add(_unit_times(a, b, gain),
-                                 vec.cross(spin, _unit_times(a, b, spin)))
-                _add_columns(i, column, zero, vec.combine(frame, moment), axes, places, links,
-                             out)
-                column += 1
-
-
-@compiled
-def _unit_times(a, b, vector):
-    """Return the symmetric matrix with ones at (a, b) and (b, a) alone, times a vector."""
-    va = vector[0] if a == 0 else vector[1] if a == 1 else vector[2]
-    vb = vector[0] if b == 0 else vector[1] if b == 1 else vector[2]
-    other = 0.0 if a == b else va
-    return ((vb if a == 0 else 0.0) + (other if b == 0 else 0.0),
-            (vb if a == 1 else 0.0) + (other if b == 1 else 0.0),
-            (vb if a == 2 else 0.0) + (other if b == 2 else 0.0))
-
-
-@compiled
-def _add_columns(i, column, force, moment, axes, places, links, out):
-    """Write the torques of a force and a moment at the frame of link ``i`` on all joints."""
-    place = vec.vector(places[i])
-    for j in range(i + 1):
-        z = vec.vector(axes[j])
-        if links.revolute[j]:
-            lever = vec.subtract(place, vec.vector(places[j]))
-            out[j, column] = vec.dot(z, vec.add(moment, vec.cross(lever, force)))
-        else:
-            out[j, column] = vec.dot(z, force)
-
-
-@compiled
-def regressor_along(q, dq, ddq, links, out) -> None:
-    """Fill `regressor` (T, n, 10 n) along a motion, angles, rates and accelerations (T, n)."""
-    for k in range(q.shape[0]):
-        regressor(q[k], dq[k], ddq[k], links, out[k])
 
 
 @compiled

@@ -15,7 +15,9 @@ stays a body (Rucker and Wensing 2022).
 from collections.abc import Sequence
 from dataclasses import replace
 
+from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain, spatial
+from gms_flex_control.dynamics import vectors as vec
 from gms_flex_control.identification.uncertainty import inverse_of
 from gms_flex_control.params.arm import ArmParams, Body
 import numpy as np
@@ -33,6 +35,87 @@ _POINT = 1e-9       # of mass times length squared: next to a point [m^2]
 _PRIOR_SD = 0.3     # of a change of a Cholesky factor, and of the logarithm of motor inertia
 
 
+@compiled
+def _regressor(q, dq, ddq, links, out) -> None:
+    """
+    Write the torque of each joint per unit of ten numbers of each link into ``out`` (n, 10 n).
+
+    At angles, rates and accelerations (n,). Of a link the numbers are mass, first moment (x, y,
+    z) and inertia about its frame (xx, xy, xz, yy, yz, zz), in that frame.
+    """
+    n, zero = links.motor_inertia.shape[0], (0.0, 0.0, 0.0)
+    frame, origin = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), zero
+    omega, alpha, lift = zero, zero, vec.scale(-1.0, vec.vector(links.gravity))
+    axes, places = np.empty((n, 3)), np.empty((n, 3))
+    out[:] = 0.0
+    for i in range(n):
+        x, y, z = vec.rotation(links.rotation[i])
+        shift = vec.combine(frame, vec.vector(links.position[i]))
+        x, y, z = vec.combine(frame, x), vec.combine(frame, y), vec.combine(frame, z)
+        angle, turn = q[i] + links.offset[i], vec.scale(dq[i], z)
+        if links.revolute[i]:
+            c, s = np.cos(angle), np.sin(angle)
+            x, y = (vec.add(vec.scale(c, x), vec.scale(s, y)),
+                    vec.subtract(vec.scale(c, y), vec.scale(s, x)))
+        else:
+            shift = vec.add(shift, vec.scale(angle, z))
+        lift, origin = vec.add(lift, spatial.swung(omega, alpha, shift)), vec.add(origin, shift)
+        if links.revolute[i]:
+            alpha = vec.add(alpha, vec.add(vec.cross(omega, turn), vec.scale(ddq[i], z)))
+            omega = vec.add(omega, turn)
+        else:
+            lift = vec.add(lift, vec.add(vec.scale(2.0, vec.cross(omega, turn)),
+                                         vec.scale(ddq[i], z)))
+        frame = (x, y, z)
+        vec.store(axes[i], z)
+        vec.store(places[i], origin)
+        _add_columns(i, 10 * i, lift, zero, axes, places, links, out)
+        spin = (vec.dot(x, omega), vec.dot(y, omega), vec.dot(z, omega))
+        gain = (vec.dot(x, alpha), vec.dot(y, alpha), vec.dot(z, alpha))
+        column = 10 * i + 4
+        for a in range(3):
+            axis = frame[0] if a == 0 else frame[1] if a == 1 else frame[2]
+            _add_columns(i, 10 * i + 1 + a, spatial.swung(omega, alpha, axis),
+                         vec.cross(axis, lift), axes, places, links, out)
+            for b in range(a, 3):
+                moment = vec.add(_unit_times(a, b, gain),
+                                 vec.cross(spin, _unit_times(a, b, spin)))
+                _add_columns(i, column, zero, vec.combine(frame, moment), axes, places, links,
+                             out)
+                column += 1
+
+
+@compiled
+def _unit_times(a, b, vector):
+    """Return the symmetric matrix with ones at (a, b) and (b, a) alone, times a vector."""
+    va = vector[0] if a == 0 else vector[1] if a == 1 else vector[2]
+    vb = vector[0] if b == 0 else vector[1] if b == 1 else vector[2]
+    other = 0.0 if a == b else va
+    return ((vb if a == 0 else 0.0) + (other if b == 0 else 0.0),
+            (vb if a == 1 else 0.0) + (other if b == 1 else 0.0),
+            (vb if a == 2 else 0.0) + (other if b == 2 else 0.0))
+
+
+@compiled
+def _add_columns(i, column, force, moment, axes, places, links, out):
+    """Write the torques of a force and a moment at the frame of link ``i`` on all joints."""
+    place = vec.vector(places[i])
+    for j in range(i + 1):
+        z = vec.vector(axes[j])
+        if links.revolute[j]:
+            lever = vec.subtract(place, vec.vector(places[j]))
+            out[j, column] = vec.dot(z, vec.add(moment, vec.cross(lever, force)))
+        else:
+            out[j, column] = vec.dot(z, force)
+
+
+@compiled
+def _regressor_along(q, dq, ddq, links, out) -> None:
+    """Fill `_regressor` (T, n, 10 n) along a motion, angles, rates and accelerations (T, n)."""
+    for k in range(q.shape[0]):
+        _regressor(q[k], dq[k], ddq[k], links, out[k])
+
+
 def link_regressors(angle, rate, acceleration, arm: ArmParams, coupling=None) -> np.ndarray:
     """
     Return the torque (S, n, P) of each joint per unit of each inertial parameter.
@@ -44,7 +127,7 @@ def link_regressors(angle, rate, acceleration, arm: ArmParams, coupling=None) ->
     n = arm.n_joints
     motion = [np.ascontiguousarray(one, dtype=float) for one in (angle, rate, acceleration)]
     columns = np.empty((len(motion[0]), n, 10 * n))
-    spatial.regressor_along(*motion, spatial.constants_of(arm), columns)
+    _regressor_along(*motion, spatial.constants_of(arm), columns)
     coupling = np.eye(n) if coupling is None else coupling
     motors = (motion[2] @ coupling.T)[:, None, arm.rigid] * coupling.T[:, arm.rigid]
     return np.concatenate([columns, motors], axis=2)

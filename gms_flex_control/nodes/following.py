@@ -7,7 +7,7 @@ import time
 from typing import NamedTuple
 
 from gms_flex_control.control.controller import SteppedController
-from gms_flex_control.control.frozen_encoders import acting, FrozenEncoders
+from gms_flex_control.control.frozen_encoders import EncoderWatch
 from gms_flex_control.hardware.supervision import SourceWatch
 from gms_flex_control.nodes.health import OK, WARN
 from gms_flex_control.nodes.messages import all_finite, EFFORT, NANOSECONDS
@@ -16,7 +16,6 @@ from gms_flex_control.trajectory.polynomials import extrapolate
 import numpy as np
 
 _LONGEST_TICK = 0.5  # a longer gap between states starts the observer anew [s]
-_NOTHING = 0.01      # of the torque limit: a motor of less effort is given none
 _KEPT = 4            # references
 _BRAKE_TIME = 0.5    # from a lost reference to rest [s]
 _AVERAGE = 0.1       # time constant of the torque that is let down [s]
@@ -202,44 +201,6 @@ class Handover:
             share = min(self._share, 1.0)
             torque *= share
             torque += (1.0 - share) * self._torque
-
-
-class EncoderWatch:
-    """Look for frozen encoders, state by state."""
-
-    def __init__(self, robot, torque_limit, measured):
-        self.judge = FrozenEncoders(robot, torque_limit)
-        self._measured = measured
-        self._acting, self._silent = np.zeros(robot.n_joints), np.full(robot.n_joints, np.nan)
-        self.frozen, self.began, self.count = '', False, 0   # a finding, whether it is new
-        self.use(torque_limit)
-
-    def use(self, torque_limit) -> None:
-        """Take another torque limit (n_joints,) [N m]."""
-        self.judge.use(torque_limit)
-        self.nothing = _NOTHING * torque_limit
-
-    def reset(self) -> None:
-        """Take back what was found."""
-        self.judge.reset()
-        self.frozen, self.began = '', False
-
-    def act(self, torque, efforts) -> None:
-        """
-        Take what has acted on the motors until the state that is looked at next.
-
-        ``torque`` (n_joints,) was sent; ``efforts`` are what the robot says it gave, NaN where it
-        does not measure that, empty if it says nothing [N m].
-        """
-        acting(torque, np.array(efforts) if efforts else self._silent, self.nothing, self._acting)
-
-    def look(self, elapsed) -> str:
-        """Look at the state measured, ``elapsed`` [s] after the one before; return `frozen`."""
-        before = self.frozen
-        self.frozen = self.judge.look(self._measured, self._acting, elapsed) or ''
-        self.began = bool(self.frozen) and not before
-        self.count += self.began
-        return self.frozen
 
 
 class Follower:
