@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What differs between recordings of one robot, or is found beside its links."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from gms_flex_control.errors import IdentificationError
@@ -99,3 +99,56 @@ def beyond_own(acceleration, inertia, coupling) -> np.ndarray:
 def plain_friction(rate) -> np.ndarray:
     """Return columns (T, 2) of Coulomb and viscous friction, both directions alike."""
     return np.stack([np.sign(rate), rate], axis=1)
+
+
+class Temperatures(NamedTuple):
+    """Labels of the recordings: those of one label have the same friction."""
+
+    labels: tuple
+    of: np.ndarray  # (R,), index of each recording's label
+
+
+def temperatures_of(recordings) -> Temperatures:
+    """Return the Temperatures of recordings."""
+    labels = tuple(dict.fromkeys(one.temperature for one in recordings))
+    return Temperatures(labels, np.array([labels.index(one.temperature) for one in recordings]))
+
+
+class Layout(NamedTuple):
+    """Where each kind of unknown stands among all of them (P,), and what it is of."""
+
+    links: slice    # base parameters
+    zeros: slice    # of encoders, of all recordings but the first
+    scales: slice   # logarithms of torque scales, of the joints ``free``
+    loads: slice    # ten numbers each of the recordings ``unknown``
+    coupled: slice  # Coulomb and viscous friction each of the motors ``shared``
+    free: np.ndarray
+    unknown: list
+    shared: np.ndarray
+
+    @property
+    def slices(self) -> tuple:
+        """Return the five slices."""
+        return self[:5]
+
+
+def layout_of(count: int, recordings, prior_sd) -> Layout:
+    """Return the Layout of ``count`` base parameters and what recordings leave open."""
+    free = np.flatnonzero(prior_sd > 0.0)
+    unknown = [r for r, one in enumerate(recordings) if one.load_unknown]
+    shared = coupled_motors(recordings)
+    sizes = (count, len(prior_sd) * (len(recordings) - 1), len(free), 10 * len(unknown),
+             2 * len(shared))
+    ends = np.cumsum(sizes).tolist()
+    return Layout(*map(slice, [0, *ends], ends), free, unknown, shared)
+
+
+@dataclass
+class Unknowns:
+    """The values at which the model stands."""
+
+    links: np.ndarray    # (B,)
+    zeros: np.ndarray    # (R, n), of the first recording 0 [rad]
+    scale: np.ndarray    # (n,), recorded over true torque
+    loads: np.ndarray    # (R, 10)
+    coupled: np.ndarray  # (2 M,)

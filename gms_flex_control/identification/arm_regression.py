@@ -21,15 +21,18 @@ from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_differences import (
     alike,
     Coupled,
-    coupled_motors,
     Differences,
     FoundLoad,
+    layout_of,
+    temperatures_of,
+    Unknowns,
 )
 from gms_flex_control.identification.arm_rows import rows_of
 from gms_flex_control.identification.axis_fit import robust
 from gms_flex_control.identification.base_parameters import regress, weighting_of
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
+    Base,
     base_of,
     body_of,
     meaning_of,
@@ -92,12 +95,12 @@ def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> 
             'told from the last link: add a recording without a load or with a known one, or '
             'rely on the links of the URDF (without --estimate all)')
     base = base_of(arm, recordings[0].coupling)
-    fit = _Fit(recordings, robot, sides, arm, *base)
+    fit = _Fit(recordings, robot, sides, arm, base)
     fit.solve()
     found = fit.nearest()
     if len(recordings) > 1:  # slopes by zeros are of the arm found
         loads = {r: one.body for r, one in fit.loads().items()}
-        fit = _Fit(recordings, robot, sides, arm, *base, slopes_of=found, loads=loads)
+        fit = _Fit(recordings, robot, sides, arm, base, slopes_of=found, loads=loads)
         fit.solve()
         found = fit.nearest()
     return fit.result(robot, found)
@@ -110,7 +113,7 @@ def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Diff
                                      or recordings[0].load_unknown
                                      or recordings[0].coupling is not None):
         return None
-    fit = _Fit(recordings, robot, sides, arm, np.zeros(0, dtype=int), np.zeros((0, 0)))
+    fit = _Fit(recordings, robot, sides, arm, Base(np.zeros(0, dtype=int), np.zeros((0, 0))))
     fit.solve()
     return fit.differences()
 
@@ -120,47 +123,45 @@ def _driven(recordings, robot):
     return rigid_where(robot, sides).arm, sides
 
 
-class _Fit:
-    """Least squares of one set of rows; ``lead`` and ``combination`` as of `base_of`."""
+class _Regression(NamedTuple):
+    """The last step of Gauss and Newton."""
 
-    def __init__(self, recordings, robot, sides, arm, lead, combination, slopes_of=None,
-                 loads=None):
-        self._robot, self._arm, self._lead, self._combination = robot, arm, lead, combination
+    step: np.ndarray    # (P,)
+    normal: np.ndarray  # (P, P)
+    pieces: list        # of `regress`
+    moving: list        # rows of each joint that count
+
+
+class _Fit:
+    """Least squares of one set of rows; a ``base`` without parameters relies on the links."""
+
+    def __init__(self, recordings, robot, sides, arm, base, slopes_of=None, loads=None):
+        self._robot, self._arm, self._base = robot, arm, base
         self._sources, self._sides = [one.source for one in recordings], sides
-        self._labels = tuple(dict.fromkeys(one.temperature for one in recordings))
-        self._label = np.array([self._labels.index(one.temperature) for one in recordings])
-        self._rows, self._usual = rows_of(recordings, robot, sides, arm, lead, [
+        self._temperatures = temperatures_of(recordings)
+        self._rows, self._usual = rows_of(recordings, robot, sides, arm, base.lead, [
             carrying(slopes_of or arm, (loads or {}).get(r, one.load))
             for r, one in enumerate(recordings)])
-        n, count = arm.n_joints, len(lead)
-        doubt = np.max([one.scale_sd for one in recordings], axis=0)
+        n, doubt = arm.n_joints, np.max([one.scale_sd for one in recordings], axis=0)
         loads = {one.load and (one.load.mass, *one.load.com) for one in recordings
                  if not one.load_unknown}
-        self._unknown = [r for r, one in enumerate(recordings) if one.load_unknown]
         self._prior_sd = np.where(np.isinf(doubt), _UNKNOWN_SD, np.maximum(
             doubt, _DRIVE_SD if len(loads) > 1 else 0.0))
-        self._free = np.flatnonzero(self._prior_sd > 0.0)
-        zeros = n * (len(recordings) - 1)
-        self._parts = [slice(0, count), slice(count, count + zeros),
-                       slice(count + zeros, count + zeros + len(self._free))]
-        at = self._parts[2].stop
-        self._parts.append(slice(at, at + 10 * len(self._unknown)))
-        self._load_values = np.zeros((len(recordings), 10))
         self._coupling = recordings[0].coupling
-        self._shared = coupled_motors(recordings)
-        at = self._parts[3].stop
-        self._parts.append(slice(at, at + 2 * len(self._shared)))
-        self._coupled = np.zeros(2 * len(self._shared))
-        self._values, self._zeros = np.zeros(count), np.zeros((len(recordings), n))
-        self._scale, self._loaded = np.ones(n), np.zeros(n, dtype=bool)
+        self._layout = layout_of(len(base.lead), recordings, self._prior_sd)
+        self._at = Unknowns(np.zeros(len(base.lead)), np.zeros((len(recordings), n)), np.ones(n),
+                             np.zeros((len(recordings), 10)),
+                             np.zeros(2 * len(self._layout.shared)))
+        self._loaded = np.zeros(n, dtype=bool)
         self._guess = self._guessed_scales(recordings, np.isinf(doubt))
-        self._scale[:] = self._guess
+        self._at.scale[:] = self._guess
+        self._last = None  # the _Regression of the last step
 
     def _guessed_scales(self, recordings, unknown):
         """Return the scales (n,) to begin from: of unknown ones, as the URDF's masses have it."""
         guess, start = np.ones(len(unknown)), all_parameters(self._arm)
-        described = self._rows.known + (self._rows.regressor @ (self._combination @ start)
-                                        if len(self._lead) else 0.0)
+        described = self._rows.known + (self._rows.regressor @ (self._base.combination @ start)
+                                        if len(self._base.lead) else 0.0)
         for j in np.flatnonzero(unknown):
             columns = np.concatenate([described[:, j:j + 1], self._own(j, slice(None))], axis=1)
             root = np.sqrt(robust(columns, self._rows.torque[:, j])[0])
@@ -179,9 +180,10 @@ class _Fit:
         recording = rows.recording[chosen]
         friction = rows.friction[chosen, j]
         columns.append(friction)
-        for k in range(1, len(self._labels)):  # alike in both directions: an offset is another
-            columns.append(alike(friction) * (self._label[recording] == k)[:, None])
-        for r in range(1, len(self._zeros)):
+        for k in range(1, len(self._temperatures.labels)):
+            # alike in both directions: an offset is another
+            columns.append(alike(friction) * (self._temperatures.of[recording] == k)[:, None])
+        for r in range(1, len(self._at.zeros)):
             columns.append((recording == r)[:, None].astype(float))
         if self._loaded[j]:
             columns.append(self._load_column(j)[chosen, None])
@@ -192,20 +194,20 @@ class _Fit:
 
     def _load_column(self, j):
         """Return the size of the torque that moves a link, against the motion (S,)."""
-        return np.sign(self._rows.rate[:, j]) * np.abs(self._scale[j] * self._torque()[:, j])
+        return np.sign(self._rows.rate[:, j]) * np.abs(self._at.scale[j] * self._torque()[:, j])
 
     def _torque(self):
         """Return the torque of the links at the present values (S, n) [N m]."""
         rows = self._rows
-        moved = np.einsum('sji,si->sj', rows.slope, self._zeros[rows.recording])
-        carried = np.einsum('sjk,sk->sj', rows.tip, self._load_values[rows.recording])
-        return (rows.known + rows.regressor @ self._values + carried + moved
-                + rows.coupled @ self._coupled)
+        moved = np.einsum('sji,si->sj', rows.slope, self._at.zeros[rows.recording])
+        carried = np.einsum('sjk,sk->sj', rows.tip, self._at.loads[rows.recording])
+        return (rows.known + rows.regressor @ self._at.links + carried + moved
+                + rows.coupled @ self._at.coupled)
 
     def solve(self) -> None:
         """Find parameters, zeros and scales; then once more where friction grows with load."""
         self._iterate()
-        left = [self._left(j) for j in range(len(self._scale))]
+        left = [self._left(j) for j in range(len(self._at.scale))]
         self._loaded = np.array([
             value > max(_LOADED * error, _ADDS) for value, error in map(self._tried_load, left)])
         if self._loaded.any():
@@ -227,56 +229,64 @@ class _Fit:
 
     def _left(self, j):
         """Return a joint, where it moves the torque its links do not explain, and these rows."""
-        rows = self._moving[j]
-        return j, (self._rows.torque[:, j] - self._scale[j] * self._torque()[:, j])[rows], rows
+        rows = self._last.moving[j]
+        left = self._rows.torque[:, j] - self._at.scale[j] * self._torque()[:, j]
+        return j, left[rows], rows
 
     def _iterate(self):
-        rows, count = self._rows, self._parts[4].stop
-        precision = np.zeros(count)
-        precision[self._parts[1]] = _ZERO_SD ** -2
-        precision[self._parts[2]] = self._prior_sd[self._free] ** -2
-        size, mass = _LOAD_SIZE, self._arm.mass.sum()
-        body = mass * np.repeat([1.0, size, size ** 2], [1, 3, 6])
-        precision[self._parts[3]] = np.tile(_LOAD_SD * body, len(self._unknown)) ** -2.0
-        own = np.append(np.tile(body, len(self._scale)), np.full(len(self._scale), body[-1]))
-        precision[self._parts[0]] = (_VAGUE_SD * own[self._lead]) ** -2.0
-        precision[self._parts[4]] = np.sum(rows.coupled ** 2, axis=(0, 1)) / np.sum(
-            rows.torque[:, self._shared] ** 2)
-        self._precision, weighting = precision, None
-        for k in range(_ROUNDS if len(self._free) else 1):
+        rows, layout, at = self._rows, self._layout, self._at
+        precision = self._precision()
+        weighting = None
+        for k in range(_ROUNDS if len(layout.free) else 1):
             model = self._torque()
             columns = self._columns(model)
-            pull = np.zeros(count)
-            pull[self._parts[0]] = -self._values
-            pull[self._parts[1]] = -self._zeros[1:].ravel()
-            pull[self._parts[4]] = -self._coupled
-            pull[self._parts[3]] = -self._load_values[self._unknown].ravel()
-            pull[self._parts[2]] = np.log(self._guess / self._scale)[self._free]
-            left = rows.torque - self._scale * model
+            pull = np.zeros(len(precision))
+            pull[layout.links] = -at.links
+            pull[layout.zeros] = -at.zeros[1:].ravel()
+            pull[layout.scales] = np.log(self._guess / at.scale)[layout.free]
+            pull[layout.loads] = -at.loads[layout.unknown].ravel()
+            pull[layout.coupled] = -at.coupled
+            left = rows.torque - at.scale * model
             weighting = weighting or weighting_of(columns, left, rows.rate, self._own,
                                                   rows.recording)
-            self._step, self._normal, self._pieces = regress(
-                columns, left, rows.rate, rows.block, self._own, precision, pull, weighting)
-            step, self._moving = self._step, [rows for rows, _ in weighting]
-            values, zeros, scales, loads, coupled = (step[part] for part in self._parts)
-            self._coupled = self._coupled + coupled
-            self._load_values[self._unknown] += loads.reshape(-1, 10)
-            self._values = self._values + values
-            self._zeros[1:] += zeros.reshape(self._zeros[1:].shape)
-            self._scale[self._free] *= np.exp(np.clip(scales, -1.0, 1.0))
+            self._last = _Regression(*regress(
+                columns, left, rows.rate, rows.block, self._own, precision, pull, weighting),
+                [rows for rows, _ in weighting])
+            links, zeros, scales, loads, coupled = (
+                self._last.step[part] for part in layout.slices)
+            at.links = at.links + links
+            at.zeros[1:] += zeros.reshape(at.zeros[1:].shape)
+            at.scale[layout.free] *= np.exp(np.clip(scales, -1.0, 1.0))
+            at.loads[layout.unknown] += loads.reshape(-1, 10)
+            at.coupled = at.coupled + coupled
             if k and np.all(np.abs(scales) < _SETTLED):  # first, parameters of 0 leave scales be
                 break
+
+    def _precision(self):
+        """Return the inverse prior variances (P,) of the unknowns."""
+        rows, layout = self._rows, self._layout
+        precision = np.zeros(layout.coupled.stop)
+        precision[layout.zeros] = _ZERO_SD ** -2
+        precision[layout.scales] = self._prior_sd[layout.free] ** -2
+        size, mass, n = _LOAD_SIZE, self._arm.mass.sum(), len(self._at.scale)
+        body = mass * np.repeat([1.0, size, size ** 2], [1, 3, 6])
+        precision[layout.loads] = np.tile(_LOAD_SD * body, len(layout.unknown)) ** -2.0
+        own = np.append(np.tile(body, n), np.full(n, body[-1]))
+        precision[layout.links] = (_VAGUE_SD * own[self._base.lead]) ** -2.0
+        precision[layout.coupled] = np.sum(rows.coupled ** 2, axis=(0, 1)) / np.sum(
+            rows.torque[:, layout.shared] ** 2)
+        return precision
 
     def _columns(self, model):
         """Return derivatives (S, n, P) by parameters, zeros, logarithms of scales and loads."""
         rows, (samples, n) = self._rows, model.shape
-        zeros = np.zeros((samples, n, len(self._zeros), n))
+        zeros = np.zeros((samples, n, len(self._at.zeros), n))
         zeros[np.arange(samples), :, rows.recording] = rows.slope
-        scales = (model[:, :, None] * np.eye(n))[:, :, self._free]
-        loads = [rows.tip * (rows.recording == r)[:, None, None] for r in self._unknown]
+        scales = (model[:, :, None] * np.eye(n))[:, :, self._layout.free]
+        loads = [rows.tip * (rows.recording == r)[:, None, None] for r in self._layout.unknown]
         whole = np.concatenate([rows.regressor, zeros[:, :, 1:].reshape(samples, n, -1), scales,
                                 *loads, rows.coupled], axis=2)
-        return self._scale[:, None] * whole
+        return self._at.scale[:, None] * whole
 
     def _covariance(self):
         """
@@ -287,33 +297,33 @@ class _Fit:
         more. No parameter is said to be better known than that, since few blocks agree by chance.
         """
         count = int(self._rows.block.max()) + 1
-        scores = np.zeros((count, len(self._step)))
-        for scaled, target, block in self._pieces:
-            sums = block_sums(scaled * (target - scaled @ self._step)[:, None], block)
+        scores = np.zeros((count, len(self._last.step)))
+        for scaled, target, block in self._last.pieces:
+            sums = block_sums(scaled * (target - scaled @ self._last.step)[:, None], block)
             scores[:len(sums)] += sums
-        inverse = inverse_of(self._normal)
-        links = self._parts[0] if len(self._lead) else slice(None)
-        memory = memory_of(inverse, self._precision, scores, links)
+        inverse = inverse_of(self._last.normal)
+        links = self._layout.links if len(self._base.lead) else slice(None)
+        memory = memory_of(inverse, self._precision(), scores, links)
         return clustered(inverse, scores, memory), inverse
 
     def _found_coupled(self):
         """Return the Coupled, None where there is none."""
         if self._coupling is None:
             return None
-        n, covariance = len(self._scale), self._covariance()[0][self._parts[4], self._parts[4]]
+        n, part, shared = len(self._at.scale), self._layout.coupled, self._layout.shared
         friction, spread = np.zeros((2, n, 2))
-        friction[self._shared] = self._coupled.reshape(-1, 2)
-        spread[self._shared] = np.sqrt(np.diag(covariance)).reshape(-1, 2)
-        arm = self._arm if not len(self._lead) else self.nearest()
+        friction[shared] = self._at.coupled.reshape(-1, 2)
+        spread[shared] = np.sqrt(np.diag(self._covariance()[0])[part]).reshape(-1, 2)
+        arm = self._arm if not len(self._base.lead) else self.nearest()
         return Coupled(self._coupling, friction, spread,
                        np.where(self._arm.rigid, arm.motor_inertia, 0.0))
 
     def loads(self) -> dict:
         """Return the FoundLoads by recording."""
-        covariance, found = self._covariance()[0][self._parts[3], self._parts[3]], {}
-        for k, r in enumerate(self._unknown):
+        covariance, found = self._covariance()[0][self._layout.loads, self._layout.loads], {}
+        for k, r in enumerate(self._layout.unknown):
             own = covariance[10 * k:10 * k + 4, 10 * k:10 * k + 4]
-            mass, *moment = self._load_values[r, :4]
+            mass, *moment = self._at.loads[r, :4]
             if not mass > max(_SURE * np.sqrt(own[0, 0]), _TRIFLE * self._arm.mass.sum()):
                 raise IdentificationError(
                     f'{self._sources[r]}: the unknown load has a mass of {mass:.3g} kg within '
@@ -322,49 +332,52 @@ class _Fit:
             com = np.array(moment) / mass
             slopes = np.concatenate([-com[:, None], np.eye(3)], axis=1) / mass
             turn = self._arm.frames.end_rotation.T
-            spread = np.maximum(np.diag(turn @ slopes @ own @ slopes.T @ turn.T), 0.0)
-            found[r] = FoundLoad(at_end(body_of(self._load_values[r]), self._arm.frames),
-                                 float(np.sqrt(own[0, 0])), np.sqrt(spread))
+            spread = turn @ slopes @ own @ slopes.T @ turn.T
+            found[r] = FoundLoad(at_end(body_of(self._at.loads[r]), self._arm.frames),
+                                 float(np.sqrt(own[0, 0])), np.sqrt(np.diag(spread)))
         return found
 
     def nearest(self) -> ArmParams:
         """Return the arm nearest to the URDF that has the base parameters."""
-        links = self._parts[0]
+        links = self._layout.links
         covariance, inverse = (one[links, links] for one in self._covariance())
-        normal = self._normal if links.stop == len(self._normal) else inverse_of(inverse)
-        return nearest_arm(self._robot.arm, self._arm, self._combination, self._values, normal,
-                           covariance)
+        normal = self._last.normal
+        normal = normal if links.stop == len(normal) else inverse_of(inverse)
+        return nearest_arm(self._robot.arm, self._arm, self._base.combination, self._at.links,
+                           normal, covariance)
 
     def result(self, robot, found) -> BaseFit:
         """Return the BaseFit, ``found`` the nearest arm."""
-        rigid, n, links = self._arm.rigid, len(self._scale), self._parts[0]
-        names, own = names_of(robot.joints, rigid), self._normal[links, links]
+        rigid, n, links = self._arm.rigid, len(self._at.scale), self._layout.links
+        names, own = names_of(robot.joints, rigid), self._last.normal[links, links]
         size, offset = 1.0 / np.sqrt(np.diag(own)), np.empty(n)
         for j in range(n):
             _, left, rows = self._left(j)
             friction = np.linalg.lstsq(self._own(j, rows), left, rcond=1e-10)[0]
-            offset[j] = 0.5 * (friction[0] - friction[4]) / self._scale[j]
+            offset[j] = 0.5 * (friction[0] - friction[4]) / self._at.scale[j]
         return BaseFit(
-            tuple(names[k] for k in self._lead),
-            tuple((UNITS * n)[k] if k < 10 * n else 'kg m^2' for k in self._lead),
-            tuple(meaning_of(row, names) for row in self._combination), self._values,
-            self._combination @ all_parameters(self._arm), self._covariance()[0][links, links],
+            tuple(names[k] for k in self._base.lead),
+            tuple((UNITS * n)[k] if k < 10 * n else 'kg m^2' for k in self._base.lead),
+            tuple(meaning_of(row, names) for row in self._base.combination), self._at.links,
+            self._base.combination @ all_parameters(self._arm),
+            self._covariance()[0][links, links],
             float(np.sqrt(np.linalg.cond(own * np.outer(size, size)))), offset, found,
             self.differences())
 
     def differences(self) -> Differences:
         """Return the Differences of the recordings."""
-        n, error = len(self._scale), np.sqrt(np.diag(self._covariance()[0]))
-        scale_sd, zero_sd = np.zeros(n), np.zeros(self._zeros.shape)
-        scale_sd[self._free] = error[self._parts[2]]
-        zero_sd[1:] = error[self._parts[1]].reshape(zero_sd[1:].shape)
-        offset, loaded = np.zeros(self._zeros.shape), np.zeros((2, n))
-        level, change = np.ones((len(self._labels), n)), np.zeros((len(self._labels), n, 4))
+        n, error = len(self._at.scale), np.sqrt(np.diag(self._covariance()[0]))
+        scale_sd, zero_sd = np.zeros(n), np.zeros(self._at.zeros.shape)
+        scale_sd[self._layout.free] = error[self._layout.scales]
+        zero_sd[1:] = error[self._layout.zeros].reshape(zero_sd[1:].shape)
+        offset, loaded = np.zeros(self._at.zeros.shape), np.zeros((2, n))
+        labels = self._temperatures.labels
+        level, change = np.ones((len(labels), n)), np.zeros((len(labels), n, 4))
         for j in range(n):
             _, left, rows = self._left(j)
             own = self._own(j, rows)
             values = np.linalg.lstsq(own, left, rcond=1e-10)[0]
-            at = 4 + 4 * len(self._labels)
+            at = 4 + 4 * len(labels)
             offset[1:, j] = values[at:at + len(offset) - 1]
             change[1:, j] = values[8:at].reshape(-1, 4)
             level[1:, j] = 1.0 + self._changes(j, values[:8], change[1:, j])
@@ -372,15 +385,15 @@ class _Fit:
                 self._loaded[j] = False
                 loaded[:, j] = self._tried_load((j, left, rows))
                 self._loaded[j] = True
-        return Differences(self._scale, scale_sd, self._prior_sd, self._zeros, zero_sd, offset,
-                           self._labels, level, change[self._label], self._usual, *loaded,
-                           self.loads(), self._found_coupled())
+        return Differences(self._at.scale, scale_sd, self._prior_sd, self._at.zeros, zero_sd,
+                           offset, labels, level, change[self._temperatures.of], self._usual,
+                           *loaded, self.loads(), self._found_coupled())
 
     def _changes(self, j, curve, changes):
         """Return friction of ``changes`` (L - 1, 4) over that of the first temperature (8,)."""
-        rows, label = self._rows, self._label[self._rows.recording]
+        rows, label = self._rows, self._temperatures.of[self._rows.recording]
         top = min(np.quantile(np.abs(rows.rate[label == k, j]), 0.9)
-                  for k in range(len(self._labels)))
+                  for k in range(len(self._temperatures.labels)))
         seen = (np.abs(rows.rate[:, j]) < top) & (np.abs(rows.rate[:, j]) > 0.1 * top)
         friction = rows.friction[seen, j]
         usual = friction @ (0.5 * np.tile(curve[:4] + curve[4:], 2))

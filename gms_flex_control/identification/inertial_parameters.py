@@ -14,6 +14,7 @@ stays a body (Rucker and Wensing 2022).
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain, spatial
@@ -143,9 +144,16 @@ def inertial_parameters(arm: ArmParams) -> np.ndarray:
                            about[:, rows, columns]], axis=1).ravel()
 
 
-def base_of(arm: ArmParams, coupling=None) -> tuple[np.ndarray, np.ndarray]:
+class Base(NamedTuple):
+    """Base parameters of an arm."""
+
+    lead: np.ndarray         # (B,), which parameter leads each
+    combination: np.ndarray  # (B, P), their change per unit of each parameter
+
+
+def base_of(arm: ArmParams, coupling=None) -> Base:
     """
-    Return which parameters lead base parameters (B,), and these per unit of each (B, P).
+    Return the base parameters that motion determines.
 
     By the regressor along random motion in the ranges of the joints.
     """
@@ -161,7 +169,7 @@ def base_of(arm: ArmParams, coupling=None) -> tuple[np.ndarray, np.ndarray]:
     combination = np.linalg.lstsq(scaled[:, lead], scaled, rcond=None)[0]
     combination *= size / size[lead][:, None]
     combination[np.abs(combination) < _SLIGHT] = 0.0
-    return lead, combination
+    return Base(lead, combination)
 
 
 def all_parameters(arm: ArmParams) -> np.ndarray:
