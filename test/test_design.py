@@ -154,7 +154,7 @@ def test_rounds_in_simulation_leave_the_true_name(robot, forward_only, tmp_path,
     assert 0.0 < values['robot_time'] <= 30.0
     assert values['robot_time'] == sum(one['best']['duration'] for one in values['rounds'])
     known = conditions_of(tmp_path / 'rounds' / '1' / 'bag')
-    assert known.temperature == 'warm' and known.torque_constant is None
+    assert known.operation.temperature == 'warm' and known.torque_constant is None
     printed = capsys.readouterr().out
     assert 'is left, with a probability of' in printed
     assert f' {tmp_path / "rounds" / "1" / "bag"} ' in printed  # in the next command

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.conditions import conditions_of, repeat_conditions
+from gms_flex_control.data.recording import Operation
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.design import determination
 from gms_flex_control.design.determination import missing_of
@@ -85,12 +86,13 @@ def test_a_stated_load_of_a_planar_arm_leaves_no_torque_and_one_beside_it_is_ref
         [0.3, 0.3], [3.0, 2.0], ramp_time=1.0))
     left = []
     for load in (None, WEIGHT):
-        torque = unexplained(motion_of(replace(recording, load=load), robot),
+        torque = unexplained(motion_of(replace(recording, operation=Operation(load)), robot),
                              constants_of(robot))[:, 1]
         left.append(np.std(np.convolve(torque, np.full(50, 0.02), 'valid')))  # without noise
     assert left[1] < 0.3 * left[0]
     with pytest.raises(BagError, match='0.1 m beside the line of the last link'):
-        motion_of(replace(recording, load=WEIGHT._replace(com=np.array([0.0, 0.1, 0.0]))), robot)
+        motion_of(replace(
+            recording, operation=Operation(WEIGHT._replace(com=np.array([0.0, 0.1, 0.0])))), robot)
 
 
 def test_a_weight_at_the_tip_separates_stiffness_from_torque_gain(robot, gains, swings):
@@ -101,7 +103,8 @@ def test_a_weight_at_the_tip_separates_stiffness_from_torque_gain(robot, gains, 
     weighted, = by_hand([motion], 0.5)
     assert '0.5 kg are hung at the tip' in weighted.words
     without, with_weight = (predicted(beliefs, one, 6.0, loop) for one in (motion, weighted))
-    assert with_weight.runs[0].load.mass == 0.5 and without.runs[0].load is None
+    assert with_weight.runs[0].operation.load.mass == 0.5
+    assert without.runs[0].operation.load is None
     assert with_weight.odds[0, 1] > without.odds[0, 1] + 3.0
     assert with_weight.odds[1, 0] > without.odds[1, 0] + 3.0
 
@@ -125,7 +128,7 @@ def test_a_new_bag_states_the_load_of_the_last_and_the_weight_together(tmp_path)
         (tmp_path / name).mkdir()
     (tmp_path / 'old' / 'recording.yaml').write_text('load: {mass: 1.5}\ntemperature: warm\n')
     repeat_conditions(tmp_path / 'old', tmp_path / 'new', ('load', 'temperature'), WEIGHT)
-    known = conditions_of(tmp_path / 'new')
+    known = conditions_of(tmp_path / 'new').operation
     assert known.load.mass == pytest.approx(2.0) and known.temperature == 'warm'
 
 

@@ -70,19 +70,19 @@ def test_a_known_constant_makes_torques(amperes, tmp_path):
     found = with_conditions(amperes, stated(
         tmp_path, f'torque_constant: {{joint1: {CONSTANT}}}\ntemperature: 31\n'))
     np.testing.assert_allclose(found.tau_motor, experiment(rigid=True)[0].tau_motor)
-    assert found.temperature == '31' and not found.scale_sd.any()
+    assert found.operation.temperature == '31' and not found.scale_sd.any()
     partly = with_conditions(amperes, stated(
         tmp_path, 'torque_constant: {joint1: {value: 0.06, sd: 0.2}}\n'))
     np.testing.assert_array_equal(partly.scale_sd, 0.2)
 
 
 def test_a_load_is_a_body_in_the_frame_at_the_end_of_the_arm(tmp_path):
-    load = stated(tmp_path, 'load: {mass: 2, com: [0, 0, 0.1]}\n').load
+    load = stated(tmp_path, 'load: {mass: 2, com: [0, 0, 0.1]}\n').operation.load
     assert load.mass == 2.0 and load.com[2] == 0.1 and np.all(np.diag(load.inertia) > 0.0)
-    assert stated(tmp_path, 'load: {mass: 0}\n').load is None
-    assert conditions_of(tmp_path / 'nowhere').load is None
+    assert stated(tmp_path, 'load: {mass: 0}\n').operation.load is None
+    assert conditions_of(tmp_path / 'nowhere').operation.load is None
     lost = stated(tmp_path, 'load: unknown\n')
-    assert lost.load is None and lost.load_unknown
+    assert lost.operation.load is None and lost.operation.load_unknown
 
 
 @pytest.mark.parametrize(('text', 'sentence'), [
@@ -147,8 +147,8 @@ def test_what_is_known_of_a_recording_is_repeated_beside_the_next(tmp_path):
     repeat_conditions(tmp_path / 'old', tmp_path / 'new')
     repeat_conditions(tmp_path / 'old', tmp_path / 'simulated', OF_ROBOT)
     new, simulated = (conditions_of(tmp_path / name) for name in ('new', 'simulated'))
-    assert new.load.mass == simulated.load.mass == 2.0
-    assert new.temperature == simulated.temperature == 'warm'
+    assert new.operation.load.mass == simulated.operation.load.mass == 2.0
+    assert new.operation.temperature == simulated.operation.temperature == 'warm'
     assert new.torque_constant == {'a': (3.0, 0.0)} and simulated.torque_constant is None
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from bench.hidden_arms.wrong_links import base_values, hidden_arm, moved
 from gms_flex_control.data.conditions import Conditions, with_conditions
+from gms_flex_control.data.recording import Operation
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
@@ -38,10 +39,15 @@ def hidden():
     bare = moved(urdf, robot.arm, 16.0, per_load=PER_LOAD)
     heavy = moved(urdf, robot.arm, 16.0, seed=1, load=LOAD, per_load=PER_LOAD,
                   warm=WARM)
-    bare = replace(bare, tau_motor=SCALE * bare.tau_motor, temperature='cold')
-    heavy = replace(heavy, tau_motor=SCALE * heavy.tau_motor + OFFSET, temperature='warm',
-                    q_link=heavy.q_link + ZERO)
+    bare = replace(bare, tau_motor=SCALE * bare.tau_motor, operation=Operation(temperature='cold'))
+    heavy = replace(heavy, tau_motor=SCALE * heavy.tau_motor + OFFSET,
+                    q_link=heavy.q_link + ZERO, operation=Operation(LOAD, temperature='warm'))
     return robot, arm, [bare, heavy]
+
+
+def with_unknown_load(recording):
+    return replace(recording, operation=recording.operation._replace(load=None,
+                                                                     load_unknown=True))
 
 
 @pytest.fixture(scope='module')
@@ -116,7 +122,7 @@ def test_currents_of_one_known_constant_tell_the_others(hidden):
 def test_discrepancy_takes_the_load_from_the_recording(hidden):
     """Without the load what is left of the torque is several times as much."""
     with pytest.raises(BagError, match='its load is unknown; gms_flex identify finds it'):
-        motion_of(replace(hidden[2][1], load=None, load_unknown=True), hidden[0])
+        motion_of(with_unknown_load(hidden[2][1]), hidden[0])
     robot, arm, (_, heavy) = hidden
     given, true = replace(robot, arm=arm), replace(heavy, tau_motor=(
         heavy.tau_motor - OFFSET) / SCALE, q_link=heavy.q_link - ZERO)
@@ -151,7 +157,7 @@ def test_a_recording_that_is_not_of_this_urdf_is_refused_in_a_sentence(
 def test_a_load_that_is_unknown_is_found_beside_a_recording_without_one(hidden):
     """Mass within 1 %, centre of mass within 2 mm, both within 4 standard deviations."""
     robot, _, (bare, heavy) = hidden
-    recordings = [bare, replace(heavy, load=None, load_unknown=True)]
+    recordings = [bare, with_unknown_load(heavy)]
     recordings = [replace(one, tau_motor=one.tau_motor / SCALE) for one in recordings]
     found = fit_base_parameters(recordings, robot).differences
     load = found.loads[1]
@@ -168,11 +174,11 @@ def test_known_links_tell_an_unknown_load_of_one_recording(hidden):
     robot, arm, (bare, heavy) = hidden
     heavy = replace(heavy, tau_motor=(heavy.tau_motor - OFFSET) / SCALE,
                     q_link=heavy.q_link - ZERO)
-    found = fit_differences([replace(heavy, load=None, load_unknown=True)],
+    found = fit_differences([with_unknown_load(heavy)],
                             replace(robot, arm=arm)).loads[0]
     assert found.body.mass == pytest.approx(LOAD.mass, abs=0.1)
     np.testing.assert_allclose(found.body.com, LOAD.com, atol=2e-3)
-    none = replace(bare, tau_motor=bare.tau_motor / SCALE, load_unknown=True)
+    none = replace(bare, tau_motor=bare.tau_motor / SCALE, operation=Operation(load_unknown=True))
     with pytest.raises(IdentificationError, match='which is none: leave load away'):
         fit_differences([none], replace(robot, arm=arm))
 
@@ -180,7 +186,7 @@ def test_known_links_tell_an_unknown_load_of_one_recording(hidden):
 def test_friction_of_a_motor_that_two_joints_turn_is_told_from_theirs(hidden):
     """Coupled wrist: within 3 %; base parameters stay, which a motor taken as its own spoils."""
     robot, arm, (bare, _) = hidden
-    bare = replace(bare, tau_motor=bare.tau_motor / SCALE, temperature='')
+    bare = replace(bare, tau_motor=bare.tau_motor / SCALE, operation=Operation())
     together = np.eye(6)
     together[5, 4] = 1.0
     turning = np.gradient(bare.q_link @ together[5], bare.period)

@@ -9,6 +9,7 @@ import tempfile
 import xml.etree.ElementTree as ElementTree
 
 from gms_flex_control import load_robot, Recording
+from gms_flex_control.data.recording import Operation
 from gms_flex_control.dynamics.chain import mass_matrices
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
 from gms_flex_control.params.arm import ArmParams, Body
@@ -127,4 +128,4 @@ def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_loa
         q_link=count * np.round(angle / count), dq_link=nothing, q_motor=nothing,
         dq_motor=nothing, tau_motor=torque, command=torque,
         reference=np.full((samples, 5, n), np.nan), friction_hat=nothing, source='hidden',
-        load=load)
+        operation=Operation(load=load))

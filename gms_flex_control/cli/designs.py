@@ -169,8 +169,9 @@ def _in_simulation(task, robot, out):
     def drive(plan, number):
         write_files(plan, out / str(number))
         bag, motion = out / str(number) / 'bag', plan.best.candidate
+        carried = together(conditions_of(bags[-1]).operation.load, motion.load)
         simulate_to_bag(closed_loop_plan(
-            loaded(robot, together(conditions_of(bags[-1]).load, motion.load)), task.robot,
+            loaded(robot, carried), task.robot,
             motion, plan.best.duration, task.gains, period=task.period, seed=number), bag)
         repeat_conditions(bags[-1], bag, OF_ROBOT, motion.load)
         bags.append(bag)

@@ -19,7 +19,7 @@ import json
 import math
 from pathlib import Path
 
-from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.file_io import read_yaml, write_text
 from gms_flex_control.params.arm import Body, require_body, together
@@ -39,9 +39,7 @@ _POINT = 1e-9  # of mass times length squared: inertia of a load that is next to
 class Conditions:
     """What is known of one recording."""
 
-    load: Body | None = None   # carried, in the frame at the end of the arm
-    load_unknown: bool = False  # whether something is carried that nothing is known of
-    temperature: str = ''      # label; recordings of one label have the same friction
+    operation: Operation = Operation()
     torque_constant: dict | None = None  # per joint value [N m per unit of effort], relative sd;
     #                                      (1, inf) where unknown. None: efforts are torques
     coupling: dict | None = None  # per joint whose motor others turn as well, how far they do
@@ -60,9 +58,9 @@ def conditions_of(bag) -> Conditions:
         values = _mapping(data or {}, _KEYS, '')
         unknown = values.get('load') == UNKNOWN
         return Conditions(
-            load=_load(values['load']) if 'load' in values and not unknown else None,
-            load_unknown=unknown,
-            temperature=str(values.get('temperature', '')),
+            operation=Operation(
+                load=_load(values['load']) if 'load' in values and not unknown else None,
+                load_unknown=unknown, temperature=str(values.get('temperature', ''))),
             torque_constant=_constants(values['torque_constant'])
             if 'torque_constant' in values else None,
             coupling=_coupling(values['coupling']) if 'coupling' in values else None)
@@ -79,7 +77,7 @@ def repeat_conditions(bag, new, keys: Sequence[str] = _KEYS, load: Body | None =
     known = (read_yaml(_file_of(bag), 'safe') or {}) if _file_of(bag).is_file() else {}
     values = {key: value for key, value in known.items() if key in keys}
     if load is not None:
-        whole = together(conditions_of(bag).load, load)
+        whole = together(conditions_of(bag).operation.load, load)
         values['load'] = {'mass': float(whole.mass), 'com': whole.com.tolist()} | (
             {'inertia': whole.inertia[np.triu_indices(3)].tolist()} if whole.inertia.any() else {})
     if values:
@@ -100,9 +98,8 @@ def with_conditions(recording: Recording, conditions: Conditions,
 
     ``motors`` are further names by which constants may be given, in the order of the joints.
     """
-    constants, recording = conditions.torque_constant, replace(
-        recording, load=conditions.load, load_unknown=conditions.load_unknown,
-        temperature=conditions.temperature)
+    constants = conditions.torque_constant
+    recording = replace(recording, operation=conditions.operation)
     if constants is None:
         return _uncoupled(recording, conditions.coupling)
     known = {**{joint: joint for joint in recording.joints},

@@ -21,10 +21,18 @@ class Phase(NamedTuple):
     value: float  # signed velocity [rad/s] or torque amplitude [N m] of the step
 
 
+class Operation(NamedTuple):
+    """Under which conditions a robot moved."""
+
+    load: Body | None = None    # carried, in the frame at the end of the arm
+    load_unknown: bool = False  # whether something is carried that nothing is known of
+    temperature: str = ''       # label; recordings of one label have the same friction
+
+
 # what has a column for each joint
 _OF_JOINTS = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
               'friction_hat', 'scale_sd')
-NOT_SAMPLED = ('joints', 'source', 'load', 'load_unknown', 'temperature', 'coupling')
+NOT_SAMPLED = ('joints', 'source', 'operation', 'coupling')
 
 
 def _unknown():
@@ -52,9 +60,7 @@ class Recording:
     reference: np.ndarray = _unknown()     # (T, 5, n), desired link angle and derivatives 1 to 4
     friction_hat: np.ndarray = _unknown()  # (T, n), the observer's estimate [N m]
     supply: np.ndarray = _unknown()        # (T,), voltage of the drives' supply [V]
-    load: Body | None = None   # carried, in the frame at the end of the arm
-    load_unknown: bool = False  # whether something is carried that nothing is known of
-    temperature: str = ''      # label; recordings of one label have the same friction
+    operation: Operation = Operation()
     scale_sd: np.ndarray = 0.0  # (n,), relative, of torques whose scale is not known
     coupling: np.ndarray | None = None  # (n, n), angles of motors by those of joints; None: alone
 

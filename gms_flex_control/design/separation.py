@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
 
-from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.design.motions import APPROACH, Candidate
 from gms_flex_control.discrepancy.dictionary import Dictionary, may_join
 from gms_flex_control.discrepancy.evidence import state_of
@@ -281,8 +281,9 @@ def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period
     rng, so_far, believed = np.random.default_rng(seed), beliefs.likelihood, beliefs.robot
     fitted = tuple(one.robot(so_far) for one in beliefs.hypotheses)
     drawn = [one.robot(so_far, _SIGMAS, rng) for one in beliefs.hypotheses for _ in range(_DRAWS)]
-    loop = Loop(gains, limits, period, fitted, (), beliefs.recordings[-1].load)
-    driven = [(loop._replace(load=one.load), recorded_motion(one)) for one in beliefs.recordings
+    loop = Loop(gains, limits, period, fitted, (), beliefs.recordings[-1].operation.load)
+    driven = [(loop._replace(load=one.operation.load), recorded_motion(one))
+              for one in beliefs.recordings
               if np.isfinite(one.reference[:, 0]).all(axis=1).sum() > _THINNED]
     return loop._replace(kept=(believed, *(robot for robot in (*fitted, *drawn) if all(
         then.keeps(robot, believed, motion, motion.reference.end) for then, motion in driven))))
@@ -329,8 +330,8 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
         return None
     odds = np.zeros((count, count))
     noise = np.vstack([so_far.noise, np.sqrt(np.mean(so_far.noise ** 2, axis=0))])
-    recordings = [replace(to_recording(run, plan), load=together(loop.load, candidate.load))
-                  for plan, run in runs]
+    operation = Operation(together(loop.load, candidate.load))
+    recordings = [replace(to_recording(run, plan), operation=operation) for plan, run in runs]
     for a, recording in enumerate(recordings):
         motions = [*so_far.motions, motion_of(recording, beliefs.robot)]
         likelihood = Likelihood(motions, beliefs.robot, seed, cautious=True).with_noise(noise)

@@ -36,9 +36,10 @@ def _faults(recording, robot):
     if any(finding.severity == 'refuse' for finding in timing):
         return timing  # nothing can be computed along such a time
     recording = with_links(recording, robot)
-    if recording.load is not None and not why_not_carried(recording.load, robot.arm):
-        robot = replace(robot, arm=carrying(robot.arm, recording.load))
-        recording = replace(recording, load=None)
+    load = recording.operation.load
+    if load is not None and not why_not_carried(load, robot.arm):
+        robot = replace(robot, arm=carrying(robot.arm, load))
+        recording = replace(recording, operation=recording.operation._replace(load=None))
     if not has_commands(recording):
         return list(check(recording, robot))
     efforts = np.isfinite(recording.tau_motor).any(axis=0)

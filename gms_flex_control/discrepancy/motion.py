@@ -191,16 +191,18 @@ def motion_of(recording, robot) -> Motion:
     half = round(0.5 * _SETTLED / period)  # friction remembers the motion that nobody saw
     known = minimum_filter1d(known, 2 * half + 1, origin=half)
     known = minimum_filter1d(known, smoothing(period) + 4 * motion.factor)
-    load = recording.load and at_last_link(recording.load, robot.arm)
+    load = recording.operation.load
+    load = load and at_last_link(load, robot.arm)
     return replace(motion, known=known[::motion.factor], load=load)
 
 
 def require_known(recording, robot) -> None:
     """Raise BagError where a recording has a load or torques that the robot's model cannot use."""
-    if recording.load_unknown:
+    if recording.operation.load_unknown:
         raise BagError(f'{recording.source}: its load is unknown; gms_flex identify finds it '
                        '(recordings.1.load), then state it in recording.yaml')
-    why_not = recording.load and why_not_carried(recording.load, robot.arm)
+    load = recording.operation.load
+    why_not = load and why_not_carried(load, robot.arm)
     if why_not:
         raise BagError(f'{recording.source}: {why_not}')
     loose = np.flatnonzero(~np.isfinite(recording.scale_sd))

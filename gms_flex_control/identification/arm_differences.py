@@ -110,8 +110,9 @@ class Temperatures(NamedTuple):
 
 def temperatures_of(recordings) -> Temperatures:
     """Return the Temperatures of recordings."""
-    labels = tuple(dict.fromkeys(one.temperature for one in recordings))
-    return Temperatures(labels, np.array([labels.index(one.temperature) for one in recordings]))
+    found = [one.operation.temperature for one in recordings]
+    labels = tuple(dict.fromkeys(found))
+    return Temperatures(labels, np.array([labels.index(one) for one in found]))
 
 
 class Layout(NamedTuple):
@@ -135,7 +136,7 @@ class Layout(NamedTuple):
 def layout_of(count: int, recordings, prior_sd) -> Layout:
     """Return the Layout of ``count`` base parameters and what recordings leave open."""
     free = np.flatnonzero(prior_sd > 0.0)
-    unknown = [r for r, one in enumerate(recordings) if one.load_unknown]
+    unknown = [r for r, one in enumerate(recordings) if one.operation.load_unknown]
     shared = coupled_motors(recordings)
     sizes = (count, len(prior_sd) * (len(recordings) - 1), len(free), 10 * len(unknown),
              2 * len(shared))

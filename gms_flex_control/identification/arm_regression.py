@@ -89,7 +89,7 @@ class BaseFit(NamedTuple):
 def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> BaseFit:
     """Estimate the base parameters of a robot of kind urdf, joints in its order."""
     arm, sides = _driven(recordings, robot)
-    if all(one.load_unknown for one in recordings):
+    if all(one.operation.load_unknown for one in recordings):
         raise IdentificationError(
             f'{recordings[0].source}: the load of every recording is unknown, which cannot be '
             'told from the last link: add a recording without a load or with a known one, or '
@@ -110,7 +110,7 @@ def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Diff
     """Return what differs between recordings of known links; None of one of known torques."""
     arm, sides = _driven(recordings, robot)
     if len(recordings) == 1 and not (np.any(recordings[0].scale_sd)
-                                     or recordings[0].load_unknown
+                                     or recordings[0].operation.load_unknown
                                      or recordings[0].coupling is not None):
         return None
     fit = _Fit(recordings, robot, sides, arm, Base(np.zeros(0, dtype=int), np.zeros((0, 0))))
@@ -140,11 +140,11 @@ class _Fit:
         self._sources, self._sides = [one.source for one in recordings], sides
         self._temperatures = temperatures_of(recordings)
         self._rows, self._usual = rows_of(recordings, robot, sides, arm, base.lead, [
-            carrying(slopes_of or arm, (loads or {}).get(r, one.load))
+            carrying(slopes_of or arm, (loads or {}).get(r, one.operation.load))
             for r, one in enumerate(recordings)])
         n, doubt = arm.n_joints, np.max([one.scale_sd for one in recordings], axis=0)
-        loads = {one.load and (one.load.mass, *one.load.com) for one in recordings
-                 if not one.load_unknown}
+        known = [one.operation.load for one in recordings if not one.operation.load_unknown]
+        loads = {load and (load.mass, *load.com) for load in known}
         self._prior_sd = np.where(np.isinf(doubt), _UNKNOWN_SD, np.maximum(
             doubt, _DRIVE_SD if len(loads) > 1 else 0.0))
         self._coupling = recordings[0].coupling

@@ -82,11 +82,11 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
         return None
     rate = np.ascontiguousarray(segment.rate[every:-every:every][:len(angle)])
     torque = low_pass(torque, window)
-    loaded = carrying(arm, recording.load)
+    loaded = carrying(arm, recording.operation.load)
     if len(lead):
         regressor = link_regressors(*motion, arm, recording.coupling)[:, :, lead]
         known = np.zeros(rate.shape)
-        if recording.load is not None:
+        if recording.operation.load is not None:
             known = chain.inverse_dynamics(*motion, loaded) - chain.inverse_dynamics(*motion, arm)
     else:
         regressor = np.zeros((*rate.shape, 0))
@@ -95,7 +95,7 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
             known += beyond_own(motion[2], np.where(arm.rigid, arm.motor_inertia, 0.0),
                                 recording.coupling)
     tip = np.zeros((*rate.shape, 10))
-    if recording.load_unknown:
+    if recording.operation.load_unknown:
         last = 10 * (arm.n_joints - 1)
         tip = link_regressors(*motion, arm)[:, :, last:last + 10]
     slope = np.zeros((*rate.shape, arm.n_joints))

@@ -113,7 +113,7 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
             for finding in require(recording, model, force=options.force, rough=whole):
                 if finding.kind != 'torque_scale' or not whole:
                     warnings.warn(finding.text, stacklevel=2)
-        unknown = next((one.source for one, _ in holdouts if one.load_unknown), None)
+        unknown = next((one.source for one, _ in holdouts if one.operation.load_unknown), None)
         if unknown:
             raise IdentificationError(f'{unknown}: its load is unknown, so that nothing can be '
                                       'predicted; give this recording to be fitted as well')
@@ -172,7 +172,8 @@ class Data:
             parts = [[self.differences.cleared(one, r) for one in part]
                      for r, part in enumerate(parts)]
         found = self.differences.loads if self.differences else {}
-        loads = [found[r].body if r in found else one.load for r, one in enumerate(recordings)]
+        loads = [found[r].body if r in found else one.operation.load
+                 for r, one in enumerate(recordings)]
         parts, self.robot = one_by_one(parts, self.robot, loads,
                                        self.differences and self.differences.loaded)
         if whole:

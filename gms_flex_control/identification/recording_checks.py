@@ -52,7 +52,8 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
     if absent:
         return tuple(absent)
     signals = recording.of_joints(robot.joints)
-    if (signals.load is not None or signals.load_unknown) and robot.arm.frames is None:
+    load, load_unknown, _ = signals.operation
+    if (load is not None or load_unknown) and robot.arm.frames is None:
         return (Finding('load', robot.joints[-1], 'refuse', (
             f'{recording.source}: has a load, which needs an arm of a URDF; write the robot file '
             'with arm.kind: urdf, or add the load to its last link')),)
@@ -60,7 +61,7 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
         return (Finding('coupling', robot.joints[-1], 'refuse', (
             f'{recording.source}: has coupled motors, whose friction needs an arm of a URDF; '
             'write the robot file with arm.kind: urdf')),)
-    robot = replace(robot, arm=carrying(robot.arm, signals.load))
+    robot = replace(robot, arm=carrying(robot.arm, load))
     found = [*sampling_checks.length(signals), *sampling_checks.clock(signals),
              *sampling_checks.missing(signals, robot)]
     if any(finding.severity == 'refuse' for finding in found):
