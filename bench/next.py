@@ -12,14 +12,13 @@ from typing import NamedTuple
 from bench.hidden_robots import motions, plants, sizes, truth
 from bench.hidden_robots.cases import recording_of
 from bench.hidden_robots.hide import seeds_of
-from gms_flex_control import blas
 from gms_flex_control.answer import align
 from gms_flex_control.batches import fingerprint, run_kept
 from gms_flex_control.cli.options import add_batch_options
+from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.design.motions import Candidate, gentlest, random_moves
-from gms_flex_control.design.plan import clipped
+from gms_flex_control.design.plan import clipped, separate
 from gms_flex_control.design.separation import beliefs_of, keeps
-from gms_flex_control.design.sequential import separate
 from gms_flex_control.discrepancy.thresholds import CREDIBLE
 from gms_flex_control.errors import ConfigError, GmsFlexError, SimulationError
 from gms_flex_control.file_io import write_text
@@ -137,7 +136,7 @@ def run(args) -> int:
 
 def tried(item) -> dict | None:
     """Return what becomes of an Item as plain values; None if no draw leaves two names."""
-    with blas.in_one_thread(), np.errstate(all='ignore'):
+    with in_one_thread(), np.errstate(all='ignore'):
         robot = draw(item)
         if robot is None:
             return None

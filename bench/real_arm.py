@@ -18,8 +18,8 @@ from pathlib import Path
 import tempfile
 
 from bench.real_machines.machines import shared_data
-from gms_flex_control import blas
 from gms_flex_control.answer import align
+from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.conditions import Conditions, with_conditions
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import low_pass
@@ -129,7 +129,7 @@ def run(args) -> int:
     if absent:
         print(f'skipped: {absent} is absent')
         return 1
-    with tempfile.TemporaryDirectory() as folder, blas.in_one_thread():
+    with tempfile.TemporaryDirectory() as folder, in_one_thread():
         found = found_in(recording_of(data), believed(data / FILES[2], Path(folder)))
     names, told = (*_JOINTS, 'motor 6, with joints 5 + 6'), published()
     if args.out:

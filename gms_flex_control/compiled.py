@@ -6,10 +6,13 @@ Compilation of the inner loops, cached on disk by the content of all kernels.
 
 numba invalidates a cached function when its own file changes, but not when a function it calls
 in another file does. The cache folder is therefore named after a hash of every kernel source.
+
+Linear algebra runs in one thread: our matrices are small and our own threads and processes keep
+all cores busy; threads of BLAS would wait for a core of their own while others spin.
 """
 
-from collections.abc import Callable
-from contextlib import contextmanager
+from collections.abc import Callable, Generator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import wraps
 import hashlib
 import os
@@ -132,3 +135,29 @@ def call_effect(typing_context, address, signals, params, memory, dt) -> tuple:
         return context.get_dummy_value()
 
     return types.void(types.intp, types.intp, types.intp, types.intp, types.float64), codegen
+
+
+try:
+    from threadpoolctl import threadpool_limits
+except ImportError:  # no rosdep key; without it all is as right, and slower on a busy machine
+    threadpool_limits = None
+
+
+def in_one_thread() -> AbstractContextManager:
+    """Return a context: until it is left, BLAS uses one thread, then as many as before."""
+    return threadpool_limits(1, 'blas') if threadpool_limits else nullcontext()
+
+
+_ALONE = RLock()
+
+
+@contextmanager
+def alone_in_one_thread() -> Generator[None, None, None]:
+    """
+    Let one caller of this process in at a time, with BLAS in one thread.
+
+    How many threads BLAS has belongs to the whole process and decides the last bits of its sums:
+    two items that a worker has taken into two threads would set it for each other.
+    """
+    with _ALONE, in_one_thread():
+        yield

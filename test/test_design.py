@@ -12,7 +12,15 @@ from gms_flex_control.cli.main import main
 from gms_flex_control.data.conditions import conditions_of
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.design.motions import candidates, random_moves
-from gms_flex_control.design.plan import NextRecording, plan_next, SHORTEST, surviving
+from gms_flex_control.design.plan import (
+    BUDGET,
+    INSEPARABLE,
+    NextRecording,
+    plan_next,
+    separate,
+    SHORTEST,
+    surviving,
+)
 from gms_flex_control.design.separation import (
     beliefs_of,
     keeps,
@@ -22,7 +30,6 @@ from gms_flex_control.design.separation import (
     resolving,
     stops_within,
 )
-from gms_flex_control.design.sequential import BUDGET, INSEPARABLE, separate
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import Plan, simulate
 from gms_flex_control.hardware.limits import Limits
@@ -169,7 +176,7 @@ def test_what_predicts_the_same_ends_as_inseparable_and_no_budget_as_spent(
                         duration, loop: Prediction(candidate, duration, beliefs.odds, ()))
 
     beliefs = beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY])
-    monkeypatch.setattr('gms_flex_control.design.sequential.beliefs_of',
+    monkeypatch.setattr('gms_flex_control.design.plan.beliefs_of',
                         lambda recordings, robot, sets: beliefs)
     driven = []
 

@@ -19,8 +19,8 @@ pytestmark = pytest.mark.fast
 PACKAGE = 'gms_flex_control'
 ROOT = Path(gms_flex_control.__file__).parent
 # each may import those before it, and itself; one that does not exist yet does no harm
-LAYERS = ['errors', 'file_io', 'batches', 'answer', 'blas', 'compiled',
-          'records', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
+LAYERS = ['errors', 'file_io', 'batches', 'answer', 'compiled', 'records',
+          'params', 'friction', 'effects', 'dynamics', 'trajectory',
           'control', 'hardware', 'schema', 'exports', 'simulation', 'data',
           'experiment', 'identification', 'discrepancy', 'design',
           'tuning', 'comparison', 'reports', 'results', 'view', 'nodes', 'cli']

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 following = pytest.importorskip('gms_flex_control.nodes.following')
-foresight = pytest.importorskip('gms_flex_control.nodes.foresight')
+foresight = pytest.importorskip('gms_flex_control.hardware.foresight')
 node_values = pytest.importorskip('gms_flex_control.schema.node_values')
 
 CONFIG = share_path() / 'config'

@@ -12,14 +12,13 @@ from pathlib import Path
 
 from bench.demos.discrepancy import compile_effects
 from bench.demos.hidden_effect import random_error
-from gms_flex_control import blas
 from gms_flex_control.cli.demo import RATE
 from gms_flex_control.cli.designs import report_separation, sets_of, Task, write_files
 from gms_flex_control.cli.options import add_verb, JSON, number, option, out_folder, Verb
 from gms_flex_control.cli.terminal import import_ros, prepare, refuse_foreign, say
+from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.design.plan import clipped
-from gms_flex_control.design.sequential import separate
+from gms_flex_control.design.plan import clipped, separate
 from gms_flex_control.experiment.driven import (
     drive_recorded,
     DrivenPlan,
@@ -66,7 +65,7 @@ def demo_next(args) -> int:
     say(f'first recording over DDS, {duration:g} s')
     drive_recorded(DrivenPlan(files=files, model=believed, compensation='gms', rate=RATE,
                               plant=plant, duration=duration), out / 'first', log=out / 'log')
-    with blas.in_one_thread(), np.errstate(all='ignore'):
+    with in_one_thread(), np.errstate(all='ignore'):
         found = separate(task.recordings(), task.robot, task.sets, task.gains, task.limits,
                          partial(_driven, runner, files[:2], plant, out), period=task.period,
                          budget=args.budget, longest=args.budget, say=say)

@@ -20,8 +20,9 @@ from bench.hidden_arms.hidden_arms import NOISES, robot_near
 from bench.hidden_arms.plant import recording_of
 from bench.hidden_arms.wrong_links import ARM, base_values, hidden_arm, moved
 from bench.hidden_robots.hide import seeds_of
-from gms_flex_control import blas, load_robot
+from gms_flex_control import load_robot
 from gms_flex_control.answer import align
+from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.arm_fit import with_motors
 from gms_flex_control.identification.arm_regression import fit_base_parameters
@@ -124,7 +125,7 @@ def add_parser(subparsers) -> None:
 def run(args) -> int:
     """Print the table; return 0."""
     seeds = seeds_of(args.seeds)
-    with blas.in_one_thread():
+    with in_one_thread():
         scores = [scores_of(seed, args.seconds) for seed in seeds]
     if args.out:
         write_text(args.out, json.dumps(

@@ -13,7 +13,7 @@ from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 
 # what an answer depends on, in the package and here
-_SOURCES = ('analysis', 'blas.py', 'compiled.py', 'control', 'data', 'discrepancy', 'dynamics',
+_SOURCES = ('analysis', 'compiled.py', 'control', 'data', 'discrepancy', 'dynamics',
             'effects', 'friction', 'identification', 'params', 'records.py', 'simulation',
             'trajectory')
 _OWN = ('cases.py', 'judgement.py', 'kernels', 'motions.py', 'mujoco_plant.py', 'outcome.py',

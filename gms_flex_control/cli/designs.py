@@ -8,10 +8,10 @@ from pathlib import Path
 import sys
 from typing import NamedTuple
 
-from gms_flex_control import blas
 from gms_flex_control.answer import Answer, command, Number
 from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
+from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.conditions import conditions_of, OF_ROBOT, repeat_conditions
 from gms_flex_control.design.determination import missing_of, plan_determination
 from gms_flex_control.design.excitation import Bounds, plan_excitation, sentence
@@ -19,12 +19,13 @@ from gms_flex_control.design.plan import (
     clipped,
     LIKELY,
     MOST,
+    ONE_LEFT,
     plan_next,
+    separate,
     surviving,
     write_plan,
 )
 from gms_flex_control.design.separation import beliefs_of, closed_loop_plan, loaded
-from gms_flex_control.design.sequential import ONE_LEFT, separate
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import simulate_to_bag
@@ -63,7 +64,7 @@ def next_recording(args) -> int:
     if 'joints' in report:
         return _determine(report, args, out)
     task = _task(report, args)
-    with blas.in_one_thread(), np.errstate(all='ignore'):
+    with in_one_thread(), np.errstate(all='ignore'):
         if args.with_ros or args.simulate:
             return _carry_out(task, args, out)
         say('explanations along the recordings so far')
@@ -103,7 +104,7 @@ def _determine(report, args, out):
         raise ConfigError(f'{args.result} is of identify: --run, --simulate, --effects and '
                           '--weight separate explanations of discrepancy')
     robot, gains, limits = _loaded(args)
-    with blas.in_one_thread(), np.errstate(all='ignore'):
+    with in_one_thread(), np.errstate(all='ignore'):
         plan = plan_determination(
             robot, [read_experiment_of(bag, robot)[0] for bag in report['sources']],
             missing_of(report), gains, limits, period=1.0 / args.rate,
@@ -300,7 +301,7 @@ def plan(args) -> int:
                           'needs urdf. identification_node moves axes that are alone')
     limits = load_limits(args.limits, robot.joints) if args.limits else None
     bounds = Bounds.of_robot(robot, limits, args.acceleration or np.inf)
-    with blas.in_one_thread():
+    with in_one_thread():
         found = plan_excitation(
             robot, bounds, period=args.period, harmonics=args.harmonics, repeats=args.repeats,
             radius=args.radius, seed=args.seed,

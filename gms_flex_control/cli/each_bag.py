@@ -21,8 +21,8 @@ from gms_flex_control.batches import (
     open_executor,
     run_batch,
 )
-from gms_flex_control.blas import alone_in_one_thread
 from gms_flex_control.cli.terminal import conclude
+from gms_flex_control.compiled import alone_in_one_thread
 from gms_flex_control.errors import BatchError, ConfigError, GmsFlexError, own_warnings
 from gms_flex_control.file_io import as_json, write_json, write_text
 from gms_flex_control.identification.output import over_bags

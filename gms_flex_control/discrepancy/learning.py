@@ -12,7 +12,7 @@ and by free runs.
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control import blas
+from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.discrepancy.evidence import State, state_of
 from gms_flex_control.discrepancy.findings import plausible_limit
 from gms_flex_control.discrepancy.fitting import (
@@ -92,7 +92,7 @@ def learn(result, *, holdout=(), say=lambda text: None) -> Discrepancy:
     """
     if not result.is_open or result.behind is None:
         return result
-    with blas.in_one_thread(), np.errstate(all='ignore'):
+    with in_one_thread(), np.errstate(all='ignore'):
         return _learned(result, holdout, say)
 
 

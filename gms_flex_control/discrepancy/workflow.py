@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import time
 
-from gms_flex_control import blas
+from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy import describe
 from gms_flex_control.discrepancy.data_faults import faults_of
@@ -104,7 +104,7 @@ def find_discrepancy(
     if fatal and not options.force:
         result = Discrepancy(verdict=BAD_DATA, words=describe.of_faults(fatal))
     else:
-        with blas.in_one_thread(), np.errstate(all='ignore'):
+        with in_one_thread(), np.errstate(all='ignore'):
             result = _compared([motion_of(recording, robot) for recording in recordings],
                                [motion_of(recording, robot) for recording in holdout],
                                robot, options, say)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import time
 import warnings
 
-from gms_flex_control import blas
+from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.errors import IdentificationError, own_warnings
 from gms_flex_control.friction.gms import steady_friction
 from gms_flex_control.identification.arm_estimates import difference_estimates
@@ -105,7 +105,7 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
     begin, options, say = time.monotonic(), options or Options(), say or (lambda text: None)
     takes, holdouts = ([one if isinstance(one, tuple) else (one, ()) for one in several]
                        for several in (takes, holdouts))
-    with own_warnings() as caught, blas.in_one_thread():  # joints have threads of their own
+    with own_warnings() as caught, in_one_thread():  # joints have threads of their own
         say('checking the data')
         whole = options.estimate == 'all'
         model = believed_model(robot, whole, options.force)

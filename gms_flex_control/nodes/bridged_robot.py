@@ -7,10 +7,10 @@ import sys
 import time
 
 from gms_flex_control.hardware.bridge import Bridge
+from gms_flex_control.hardware.foresight import Foresight
 from gms_flex_control.hardware.mapping import ReadingError
 from gms_flex_control.hardware.supervision import LATE, NOTABLE, Outcome, SupervisedRobot
 from gms_flex_control.nodes import messages, process
-from gms_flex_control.nodes.foresight import Foresight
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
 from gms_flex_control.nodes.topics import Inbox, Outlet
 from gms_flex_control.schema.node_values import bridge_from_values

@@ -306,7 +306,7 @@ class Follower:
         """
         Return what the next answer depends on, where the law gives it; () else.
 
-        ``sent`` (n_joints,) is the command before; see `hardware.effort_ahead.answer`.
+        ``sent`` (n_joints,) is the command before; see `hardware.foresight.answer`.
         """
         motions = self.references.motions()
         if (not motions or not self.follows or self._begins or not self.handover.is_over
