@@ -102,6 +102,12 @@ def gains(robot):
     return load_controller(CONFIG / 'controller.yaml', robot)
 
 
+@pytest.fixture(scope='session')
+def arm(robot, gains):
+    """Return the default robot and its gains."""
+    return robot, gains
+
+
 @pytest.fixture(scope='module')
 def browser(tmp_path_factory):
     """Yield a Browser; skip where there is no Chromium that runs."""

@@ -32,11 +32,6 @@ import numpy as np
 import pytest
 
 
-@pytest.fixture(scope='module')
-def arm(robot, gains):
-    return robot, gains
-
-
 @pytest.fixture
 def only():
     """Return a function that leaves some compensations alone to be compared."""

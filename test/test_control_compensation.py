@@ -7,13 +7,11 @@ from dataclasses import replace
 
 from core_runs import model_with_error, single_axis
 from gms_flex_control.control import compensation
-from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.friction import gms
 from gms_flex_control.friction.gms import steady_friction, stribeck_level
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
-from gms_flex_control.schema.files import load_controller, load_robot
 from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -23,10 +21,9 @@ pytestmark = pytest.mark.fast
 
 
 @pytest.fixture(scope='module')
-def arm():
+def arm(ideal_robot, gains):
     """Return the arm of the paper with ideal encoders, and its gains."""
-    robot = replace(load_robot(robot_file()), encoder=EncoderParams())
-    return robot, load_controller(controller_file(), robot)
+    return ideal_robot, gains
 
 
 def run(robot, gains, mode, motion, model=None, **options):

@@ -10,23 +10,12 @@ import re
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.control import gain_conditions
-from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 import pytest
 
 pytestmark = pytest.mark.fast
 
 CONFIG = Path(__file__).resolve().parent.parent / 'config'
-
-
-@pytest.fixture(scope='module')
-def robot():
-    return load_robot(CONFIG / 'robot.yaml')
-
-
-@pytest.fixture(scope='module')
-def gains(robot):
-    return load_controller(CONFIG / 'controller.yaml', robot)
 
 
 def with_arm(robot, **values):

@@ -1,12 +1,21 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What effects declare of themselves: exclusions, bounds of the search, usual sizes."""
+"""What effects declare of themselves, those of the catalogue and those of other packages."""
 
+from dataclasses import replace
+
+from bench.hidden_robots.cases import make_case
+from core_runs import push_plant
+from discrepancy_runs import likelihood_of
+from gms_flex_control.discrepancy.dictionary import guesses_of
 from gms_flex_control.discrepancy.remainder import VARIABLES
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.base import Stage, Term
+from gms_flex_control.effects.catalogue.friction_level import ViscousError
 from gms_flex_control.effects.guess import Scales, Travel
+from gms_flex_control.errors import ParameterError
+from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
 
@@ -71,3 +80,82 @@ def test_parameters_that_are_looked_for_in_part_of_their_bounds(ideal_robot):
     assert bounds('viscous_error')[0] == [-max(one.viscous[1] for one in sides)]
     assert registry.find('torque_gain').excludes(True) == ('link_inertia_error',
                                                            'motor_inertia_error')
+
+
+MODULE = """
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
+from gms_flex_control.effects.signals import DQ_LINK, FRICTION
+
+
+class CableDrag(Term):
+    name = 'cable_drag'
+    stage = Stage.FRICTION
+    evidence = 'link rate'
+    confusable = ()
+    discriminated_by = 'the same motion without the cable'
+    parameters = (Parameter('slope', 'N m s/rad', 'slope'),)
+
+    @classmethod
+    def guesses(cls, scales):
+        return linear(0.1 * scales.friction / scales.speed)
+
+    @classmethod
+    def typical(cls, scales):
+        return (0.3 * scales.friction / scales.speed,)
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        s[FRICTION] += p[0] * s[DQ_LINK]
+"""
+OFFERED = {'cable_drag': 'cable_package:CableDrag', 'backlash': 'cable_package:CableDrag',
+           'cable': 'cable_package:CableDrag', 'torn': 'no_such_package:Torn',
+           'number': 'cable_package:DQ_LINK'}
+
+
+@pytest.fixture
+def offered(tmp_path, monkeypatch):
+    """Install a package that offers an effect, and some that are none."""
+    (tmp_path / 'cable_package.py').write_text(MODULE)
+    info = tmp_path / 'cable_package-1.0.dist-info'
+    info.mkdir()
+    (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: cable_package\nVersion: 1.0\n')
+    (info / 'entry_points.txt').write_text('\n'.join([
+        f'[{registry.GROUP}]', *(f'{name} = {value}' for name, value in OFFERED.items())]))
+    monkeypatch.syspath_prepend(tmp_path)
+    kept = (registry._offered, registry.names, registry.find)
+    for one in kept:
+        one.cache_clear()
+    yield
+    for one in kept:
+        one.cache_clear()
+
+
+def test_an_effect_of_another_package_moves_the_plant(offered, ideal_robot):
+    """As one of the catalogue with the same equation, to the bit."""
+    command = 0.3 * np.sin(np.arange(400)[:, None] * [0.01, 0.02])
+    runs = [push_plant(replace(ideal_robot, effects=effects), command, 2e-3, substeps=4)
+            for effects in ((), *((EffectSpec(name=name, joint='joint1', values=(0.2,)),)
+                                  for name in ('cable_drag', ViscousError.name)))]
+    assert np.abs(runs[0] - runs[1]).max() > 1e-3
+    np.testing.assert_array_equal(runs[1], runs[2])
+
+
+def test_the_search_looks_for_an_effect_of_another_package(offered):
+    likelihood = likelihood_of(make_case('clean', 0, duration=5.0))
+    excluded = set(registry.names()) - {'cable_drag'}
+    assert [guess[:2] for guess in guesses_of(likelihood, excluded)] == [
+        ('cable_drag', 'joint1'), ('cable_drag', 'joint2')]
+
+
+@pytest.mark.parametrize(('name', 'why'), [
+    ('backlash', 'has the name of one of the catalogue; rename it'),
+    ('cable', "calls itself 'cable_drag'; both names must agree"),
+    ('torn', "cannot be loaded (ModuleNotFoundError: No module named 'no_such_package'); mend or"),
+    ('number', 'is no subclass of gms_flex_control.effects.base.Term or Change')])
+def test_what_is_no_effect_is_refused_in_one_sentence(offered, name, why):
+    with pytest.raises(ParameterError) as refused:
+        registry.find(name)
+    assert str(refused.value).startswith(
+        f'effect {name!r}, offered as {OFFERED[name]!r} in the entry points {registry.GROUP}, ')
+    assert why in str(refused.value)

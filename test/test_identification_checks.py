@@ -1,9 +1,11 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Data faults before a fit: healthy recordings pass, every injected fault is named."""
+"""Data faults before a fit: healthy recordings pass, faults and coupled axes are named."""
 
 from dataclasses import replace
+from functools import cache
+import warnings
 
 from bench.hidden_robots.cases import make_case
 from faulty import (
@@ -16,12 +18,19 @@ from faulty import (
     ROOT,
     SIDES,
     taken,
+    UNLIKE,
     with_columns,
 )
 from gms_flex_control.data.csv_import import import_csv
 from gms_flex_control.errors import GmsFlexError, IdentificationError
-from gms_flex_control.identification.assumed_robot import rigid_joints
+from gms_flex_control.experiment.simulated import read_plan, simulate
+from gms_flex_control.identification.assumed_robot import believed_model, only_joints, rigid_joints
+from gms_flex_control.identification.coordinates import Coordinates
+from gms_flex_control.identification.identify import Data
+from gms_flex_control.identification.objective import held_out, Objective
+from gms_flex_control.identification.prediction_error import coupling_sentences
 from gms_flex_control.identification.recording_checks import check, require
+from gms_flex_control.identification.segments import drive_sides, TorqueWarning
 from identified_axis import pendulum
 import numpy as np
 import pytest
@@ -180,3 +189,73 @@ def test_cogging_that_a_drive_works_against_does_not_reverse_its_torque():
     axis = rigid_joints(recording.joints)
     robot = replace(axis, arm=replace(axis.arm, inertia=[inertia]))
     assert 'torque_sign' not in {one.kind for one in check(recording, robot)}
+
+
+def test_some_joints_of_a_robot_file_are_taken_in_their_order():
+    axes = rigid_joints(['x', 'y', 'z'])
+    axes = replace(axes, arm=replace(axes.arm, inertia=[1.0, 2.0, 3.0]))
+    chosen = only_joints(axes, ['z', 'x'])
+    assert chosen.joints == ('z', 'x') and chosen.motors == ('', '')
+    np.testing.assert_array_equal(chosen.arm.inertia, [3.0, 1.0])
+    assert chosen.friction.stiffness.shape == (2, axes.friction.stiffness.shape[1])
+    with pytest.raises(IdentificationError, match='--joints w: the robot has x, y, z'):
+        only_joints(axes, ['w'])
+
+
+@pytest.mark.parametrize('name', ['sinusoid', 'noise', 'polynomial', 'fast moves', 'slow',
+                                  'stick-slip', 'gravity', 'stiff', 'damped'])
+def test_the_spring_is_believed_where_its_stiffness_is_right(name):
+    """A controller's answer to the steps of encoders is no contradiction."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('error', TorqueWarning)
+        assert drive_sides(*healthy(name)) == ('spring', 'spring')
+
+
+@pytest.mark.parametrize('factor', [0.3, 2.5])
+def test_a_stiffness_far_off_is_a_contradiction(factor):
+    """Spring and motor torque differ by more than half: the motor torque is taken, and said."""
+    recording, robot = healthy('unlike')
+    stiffness = robot.arm.stiffness * np.array([1.0, factor])
+    wrong = replace(robot, arm=replace(robot.arm, stiffness=stiffness))
+    with pytest.warns(TorqueWarning, match='joint2 differs from the motor equation'):
+        assert drive_sides(recording, wrong) == ('spring', 'motor')
+
+
+@cache
+def data(kind):
+    """Return the robot as decoupled axes, and Data of two links moving together as ``kind``."""
+    files = [ROOT / 'config' / f'{stem}.yaml' for stem in ('robot', 'controller', 'sinusoid')]
+    plan = read_plan(files, overrides=UNLIKE | {'arm.kind': kind, 'duration': 30.0})
+    axes = read_plan(files, overrides=UNLIKE | {'arm.kind': 'decoupled'}).robot
+    return axes, Data([(simulate(plan, kind), ())], (), believed_model(axes))
+
+
+def theta(robot, j):
+    """Return the true parameters of a joint."""
+    f = robot.friction
+    sides = [[getattr(side, name)[j] for side in (f.forward, f.backward)]
+             for name in ('static', 'coulomb', 'velocity', 'viscous')]
+    coordinates = Coordinates(6)
+    yields = np.mean(sides[0]) / 6.0 / f.stiffness[j]
+    return coordinates.unpack(coordinates.pack(*sides, f.attraction[j], yields))[0]
+
+
+def sentences(kind, joint):
+    """Return what is said of a joint whose friction is known."""
+    robot, found = data(kind)
+    thetas = [theta(robot, j) for j in range(2)]
+    return coupling_sentences(Objective(found.bundle, joint, thetas), found.bundle,
+                              thetas[joint], robot.joints, held_out(found.bundle.period))
+
+
+@pytest.mark.parametrize(('joint', 'other'), [(0, 'joint2'), (1, 'joint1')])
+def test_links_of_a_chain_taken_for_single_axes_are_told_of(joint, other):
+    """The other link's acceleration accounts for what the model of an axis leaves."""
+    sentence, = sentences('planar', joint)
+    assert f'with the motion of {other}' in sentence and 'act on each other' in sentence
+
+
+@pytest.mark.parametrize('joint', [0, 1])
+def test_axes_of_their_own_are_not_accused(joint):
+    """Where each axis moves by itself nothing is said."""
+    assert sentences('decoupled', joint) == ()

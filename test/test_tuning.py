@@ -127,11 +127,6 @@ def test_stuck_blocks_hold_a_link_like_a_spring(rigid):
     assert swinging == pytest.approx(math.sqrt(30.0 / INERTIA), rel=1e-6)
 
 
-@pytest.fixture(scope='module')
-def arm(robot, gains):
-    return robot, gains
-
-
 def test_a_proposal_holds_what_was_asked_and_is_stiffer_than_the_paper(arm):
     robot, base = arm
     demands = Demands(Timing(4e-3, 0.0), base.torque_limit, delay=2e-3)
