@@ -5,14 +5,19 @@
 
 from dataclasses import replace
 
+from bench.__main__ import main
 from bench.paper_method.method import (
     fit_map,
     fit_paper,
     N_BLOCKS,
     steady_torque,
 )
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
+from gms_flex_control.schema.files import save_robot
+from identified_axis import axis
+from identified_axis import experiment as axis_experiment
 import numpy as np
 from paper_experiment import experiment, hidden, unnamed
 import pytest
@@ -106,3 +111,18 @@ def test_intervals_of_the_map_hold_the_truth_as_often_as_they_say():
                        for i, value in zip(intervals, truth, strict=True)])
     coverage = np.mean(inside, axis=0)
     assert np.all((coverage >= 0.9) & (coverage <= 0.99)), coverage
+
+
+def test_the_verb_prints_both_methods_side_by_side(tmp_path, capsys):
+    """Coulomb friction of both within 5 % of the truth; steady friction and C of each way."""
+    recording, phases = axis_experiment(rigid=True)
+    save_robot(axis(rigid=True), tmp_path / 'robot.yaml')
+    write_recording(tmp_path / 'bag', recording, ('',), phases=phases)
+    assert main(['paper-method', str(tmp_path / 'bag'), '--robot',
+                 str(tmp_path / 'robot.yaml')]) == 0
+    rows = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines()[2:]}
+    assert len(rows) == 9
+    for side, true in (('forward', 0.09087), ('backward', 0.08363)):
+        _, paper, low, _, high, default, *_ = rows[f'joint1.{side}.coulomb']
+        assert [float(paper), float(default)] == pytest.approx([true] * 2, rel=0.05)
+        assert float(low) < float(paper) < float(high)
