@@ -100,7 +100,7 @@ def test_friction_yaml_begins_with_where_its_numbers_come_from(tmp_path):
     lines = (tmp_path / 'friction.yaml').read_text('utf-8').split('/**:')[0].splitlines()
     comment = ' '.join(line.lstrip('# ') for line in lines)
     assert all(line.startswith('#') and len(line) < 100 for line in lines)
-    for part in ('a bag with: a break', '2026-03-01 14:05 UTC', 'method default', '412.5 s',
+    for part in ('a bag with: a break', '2026-03-01 14:05 UTC', '412.5 s',
                  '3 samples were lost', 'stiffness[0]: NOT IDENTIFIABLE, AT BOUND',
                  'Coulomb + viscous alone 12 %'):
         assert part in comment
