@@ -27,7 +27,7 @@ from gms_flex_control.discrepancy.fitting import (
 )
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.remainder import FreeFunctions
-from gms_flex_control.discrepancy.result import Finding, Value
+from gms_flex_control.discrepancy.result import Finding, Residual, Value
 from gms_flex_control.discrepancy.thresholds import (
     BETTER,
     CLEARLY,
@@ -370,7 +370,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
             runner_up_score=others[0][2] * one.evidence if others else 0.0,
             confusable_with=tuple(sorted(alike - {spec.name})),
             discriminated_by=kind.discriminated_by if others else '',
-            evidence=evidence_of(one, others), rms_before=before, rms_after=after))
+            evidence=evidence_of(one, others), residual=Residual(before, after)))
     return [one for one in out if one.main or not find(one.effect).of_recording]
 
 

@@ -22,6 +22,13 @@ class Value(NamedTuple):
     high: float
 
 
+class Residual(NamedTuple):
+    """Held-out residual of each joint, rms [N m]."""
+
+    before: np.ndarray  # (n,)
+    after: np.ndarray   # (n,)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Finding:
     """One effect the model lacked."""
@@ -40,8 +47,7 @@ class Finding:
     confusable_with: tuple  # of str, effects indistinguishable from it in these data
     discriminated_by: str   # experiment that separates it from those and the runner-up, or ''
     evidence: str           # one sentence
-    rms_before: np.ndarray  # (n,) held-out residual of each joint without it [N m]
-    rms_after: np.ndarray   # (n,) with it [N m]
+    residual: Residual      # without it and with it
 
     @property
     def key(self) -> tuple[str, str]:

@@ -68,8 +68,8 @@ def _finding_values(finding, joints):
         'evidence': finding.evidence, 'runner_up': finding.runner_up,
         'runner_up_score': finding.runner_up_score,
         'confusable_with': finding.confusable_with, 'discriminated_by': finding.discriminated_by,
-        'rms_before': _by_joint(joints, finding.rms_before),
-        'rms_after': _by_joint(joints, finding.rms_after)}
+        'rms_before': _by_joint(joints, finding.residual.before),
+        'rms_after': _by_joint(joints, finding.residual.after)}
 
 
 def described(spec) -> dict:
