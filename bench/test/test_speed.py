@@ -18,7 +18,9 @@ from bench.speed import (
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects.signals import WIDTH
 from gms_flex_control.errors import ConfigError
+from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.params.robot import EncoderParams
+from gms_flex_control.schema.files import load_controller, load_robot
 from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
@@ -26,8 +28,13 @@ import pytest
 
 
 @pytest.fixture(scope='module')
-def robot(ideal_robot):
-    return ideal_robot
+def robot():
+    return replace(load_robot(robot_file()), encoder=EncoderParams())
+
+
+@pytest.fixture(scope='module')
+def gains(robot):
+    return load_controller(controller_file(), robot)
 
 
 @pytest.mark.parametrize('compensation', ['none', 'gms_paper'])
