@@ -332,9 +332,9 @@ class _Fit:
             com = np.array(moment) / mass
             slopes = np.concatenate([-com[:, None], np.eye(3)], axis=1) / mass
             turn = self._arm.frames.end_rotation.T
-            spread = turn @ slopes @ own @ slopes.T @ turn.T
+            spread = np.maximum(np.diag(turn @ slopes @ own @ slopes.T @ turn.T), 0.0)
             found[r] = FoundLoad(at_end(body_of(self._at.loads[r]), self._arm.frames),
-                                 float(np.sqrt(own[0, 0])), np.sqrt(np.diag(spread)))
+                                 float(np.sqrt(own[0, 0])), np.sqrt(spread))
         return found
 
     def nearest(self) -> ArmParams:
