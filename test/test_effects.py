@@ -51,7 +51,7 @@ EQUATIONS = {
     'end_stop': ([0.5, 30.0], 'link_torque', lambda s, a, b: (
         s.link_torque - b * max(s.q_link - a, 0.0))),
     'friction_asymmetry': ([0.2], 'friction', lambda s, a: (
-        s.friction * (1 + a * np.clip(s.dq_link * DT / 3e-5, -1, 1)))),
+        s.friction * (1 + a * np.sign(s.dq_link)))),
     'friction_backlash': ([0.02, 0.003, 0.01], 'friction', lambda s, *p: s.friction),
     'friction_hysteresis': ([0.02, 0.01], 'friction', lambda s, *p: s.friction),  # begins so
     'friction_drift': ([0.3, 50.0], 'friction', lambda s, a, b: s.friction * (1 + a * s.time / b)),

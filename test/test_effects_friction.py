@@ -6,8 +6,8 @@
 from dataclasses import replace
 
 from core_runs import single_axis
-from gms_flex_control.effects import registry, table
 from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.effects.catalogue.reading import torque_at_angles
 from gms_flex_control.friction import gms
@@ -180,16 +180,3 @@ def test_friction_along_a_motion_is_that_of_the_run_that_made_it(ideal_robot, na
                                    work.signals[:, sig.FRICTION], rtol=1e-9, atol=1e-13)
         added.append(replay.signals[0, sig.FRICTION] - replay.friction[0])
     assert np.ptp(added) > 2e-3
-
-
-def test_an_asymmetric_friction_holds_at_rest_although_readings_tremble():
-    """The side of the last motion lasts through velocities of either sign, until it turns."""
-    apply = registry.find('friction_asymmetry').apply
-    memory, factors = np.zeros(1), []
-    for rate in (*[0.1] * 10, *[3e-3, -3e-3] * 50, *[-0.1] * 10):
-        signals = np.zeros(sig.WIDTH)
-        signals[[sig.FRICTION, sig.DQ_LINK]] = 0.05, rate
-        apply(signals, (0.2,), memory, 1e-3)
-        factors.append(signals[sig.FRICTION] / 0.05)
-    np.testing.assert_allclose(factors[9:110], 1.2, atol=0.021)
-    assert factors[-1] == pytest.approx(0.8)

@@ -12,8 +12,6 @@ from gms_flex_control.params.friction import StribeckParams
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
-_TURN = 3e-5  # [rad] or [m] of travel that turns a direction: more than velocities of rest make
-
 
 class CoulombError(Change):
     """F_s and F_c -> (1 + ratio) of them, in both directions; block stiffnesses stay."""
@@ -40,12 +38,7 @@ class CoulombError(Change):
 
 
 class FrictionAsymmetry(Term):
-    """
-    F -> F (1 + ratio d), d the direction of the link's motion.
-
-    d is sgn(dq_link), but turns over a little travel: a velocity that encoders read at rest
-    changes its sign all the time, and would make noise of the friction that holds the link.
-    """
+    """F -> F (1 + ratio sgn(dq_link))."""
 
     name = 'friction_asymmetry'
     words = 'Friction stronger one way than the other'
@@ -57,7 +50,6 @@ class FrictionAsymmetry(Term):
     parameters = (Parameter('ratio', '1', 'relative difference', typical=0.2,
                             searched=(LEAST_RELATIVE, -LEAST_RELATIVE)),)
     guesses = staticmethod(lambda s: linear(0.1))
-    memory_size = 1
 
     @staticmethod
     def in_friction(steady, direction, values) -> StribeckParams:
@@ -67,8 +59,10 @@ class FrictionAsymmetry(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        memory[0] = min(max(memory[0] + s[DQ_LINK] * dt / _TURN, -1.0), 1.0)
-        s[FRICTION] *= 1.0 + p[0] * memory[0]
+        if s[DQ_LINK] > 0.0:
+            s[FRICTION] *= 1.0 + p[0]
+        elif s[DQ_LINK] < 0.0:
+            s[FRICTION] *= 1.0 - p[0]
 
 
 class FrictionDrift(Term):
