@@ -109,7 +109,7 @@ def judged(outcome, tool=WORKFLOW):
             return BELIEF
         if tool == WORKFLOW:
             first = ranked(outcome['findings'])[0]
-            if hidden[0] in first['confusable_with']:
+            if ' of '.join(hidden) in first['confusable_with']:
                 return CONFUSABLE
         return WRONG
     if tool == WORKFLOW and outcome['verdict'] == 'unexplained':

@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 # PYTHON_ARGCOMPLETE_OK
-"""The tool `gms_flex`: one verb per module, one sentence per error, exit codes 0, 1, 2 and 130."""
+"""The tool `gms_flex`: its verbs, one sentence per error, exit codes 0, 1, 2, 70 and 130."""
 
 import argparse
 from contextlib import contextmanager

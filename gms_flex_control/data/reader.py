@@ -136,10 +136,12 @@ def _phase(path, topic, number, data):
     texts = dict(label.split(':', 1) for label, _, _ in dims if ':' in label)
     missing = [f'{name}:' for name in _LABELS if name not in texts]
     missing += [cdr.STAMP_LABEL] if stamp is None else []
-    if missing or len(values) != 1:
-        raise BagError(f'{path}: topic {topic!r} message {number} has {len(values)} values and '
-                       f'lacks the labels {missing}; a phase has one value and the labels '
-                       f'{cdr.STAMP_LABEL}, phase:, joint: and step:')
+    wrong = [f'{len(values)} values'] * (len(values) != 1)
+    wrong += [f'no label {" or ".join(missing)}'] * bool(missing)
+    if wrong:
+        raise BagError(f'{path}: topic {topic!r} message {number} has {" and ".join(wrong)}; '
+                       f'a phase has one value and the labels {cdr.STAMP_LABEL}, phase:, joint: '
+                       'and step:')
     return Phase(stamp, *(texts[name] for name in _LABELS), float(values[0]))
 
 

@@ -92,9 +92,8 @@ def surviving(report: Mapping) -> list[frozenset]:
     for finding in (*report['findings'], *report['minor']):
         key = finding['effect'], finding['joint']
         for other in finding['confusable_with']:
-            effect, _, joint = other.partition(' of ')
             if key in likeliest:
-                sets.append(likeliest - {key} | {(effect, joint or finding['joint'])})
+                sets.append(likeliest - {key} | {tuple(other.split(' of '))})
     return [one for one in dict.fromkeys(sets) if one][:MOST]
 
 

@@ -322,7 +322,7 @@ def _pruned(likelihood, found):
 
 def _dropped(likelihood, found, index):
     """
-    Return the search's end without an effect, which no model that was tried has any more.
+    Return the search's end without an effect: models with it no longer count as tried.
 
     It goes on with the likeliest of the others: one of them may have what stood in its place.
     """
@@ -358,7 +358,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
         before, after, main = _lessened(likelihood, found, one, held_out)
         spec = found.best.model.robot.effects[one.index]
         others, kind = _rivals(found, one, spec), find(spec.name)
-        alike = {name for name, _, share in others if share > _ALIKE or (
+        alike = {f'{name} of {joint}' for name, joint, share in others if share > _ALIKE or (
             name in kind.confusable and share > kind.declared_from)}
         out.append(Finding(
             effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),
@@ -368,7 +368,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
                                   if (spec.name, spec.joint) in names)),
             runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
             runner_up_score=others[0][2] * one.evidence if others else 0.0,
-            confusable_with=tuple(sorted(alike - {spec.name})),
+            confusable_with=tuple(sorted(alike)),
             discriminated_by=kind.discriminated_by if others else '',
             evidence=evidence_of(one, others), residual=Residual(before, after)))
     return [one for one in out if one.main or not find(one.effect).of_recording]

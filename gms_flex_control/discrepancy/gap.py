@@ -322,7 +322,7 @@ def _as_modelled(motion, constants):
 
 
 def all_known(motion, starts) -> np.ndarray:
-    """Return of which runs, by their starts (S,) [s], all angles were read, bool."""
+    """Return for each run, by its start (S,) [s], whether all angles were read, bool."""
     unread = np.concatenate([[0], np.cumsum(~motion.known)])
     first, last = (np.searchsorted(motion.time, when) for when in (starts, starts + HORIZON))
     return unread[last] == unread[first]

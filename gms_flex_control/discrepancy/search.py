@@ -171,7 +171,7 @@ class _Search:
             self._take(self.best.model)
 
     def _neighbours(self, state, shortlist):
-        """Return the States with one effect more, so many with more evidence."""
+        """Return the States with one effect more, the likeliest few that gain evidence."""
         worth, found = EVIDENCE + 2.0 * np.log(self.hypotheses), {}
         for model, columns, limit in self._bases(state):
             ranked, better = self.dictionary.ranked(model, columns, limit), 0

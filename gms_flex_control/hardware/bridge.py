@@ -288,7 +288,7 @@ class Bridge:
         return bool(sentence) and self.fault(sentence)
 
     def looked(self, now) -> int:
-        """Return how long ago it was looked after both sides [ns]."""
+        """Return the time since both sides were last checked [ns]."""
         return now - self._watched
 
     def _silent_controller(self, now):
