@@ -73,9 +73,9 @@ def test_indistinguishable_effects_of_a_finding_survive_beside_the_credible_mode
     backlash = {'effect': 'backlash', 'joint': 'joint1'}
     gain = {'effect': 'torque_gain', 'joint': 'joint2'}
     report = {'credible': [{'effects': [backlash, gain], 'probability': 0.97}], 'minor': [],
-              'findings': [gain | {'confusable_with': ['stiffness_error of joint2',
-                                                      'tip_payload of arm']
-                                   }, backlash | {'confusable_with': []}]}
+              'findings': [gain | {'confusable_with': [
+                  'stiffness_error of joint2', 'tip_payload of arm']},
+                  backlash | {'confusable_with': []}]}
     kept = ('backlash', 'joint1')
     assert surviving(report) == [
         frozenset({kept, ('torque_gain', 'joint2')}),

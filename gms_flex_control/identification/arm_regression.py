@@ -150,8 +150,8 @@ class _Fit:
         self._coupling = recordings[0].coupling
         self._layout = layout_of(len(base.lead), recordings, self._prior_sd)
         self._at = Unknowns(np.zeros(len(base.lead)), np.zeros((len(recordings), n)), np.ones(n),
-                             np.zeros((len(recordings), 10)),
-                             np.zeros(2 * len(self._layout.shared)))
+                            np.zeros((len(recordings), 10)),
+                            np.zeros(2 * len(self._layout.shared)))
         self._loaded = np.zeros(n, dtype=bool)
         self._guess = self._guessed_scales(recordings, np.isinf(doubt))
         self._at.scale[:] = self._guess
