@@ -41,6 +41,7 @@ def compare(result, models, holdout=()) -> list:
                           likelihood.robot, held_out=True) if holdout else likelihood
     zero, compared = np.zeros(len(likelihood.nuisances)), []
     for name, robot in models:
+        likelihood.encoder_noise.forget()  # so that no model is measured by what came before it
         pair = likelihood.fitted(robot, zero), retuned(likelihood, robot, zero, PLAUSIBLE)[0]
         compared.append(Compared(
             name, *(torque_rms(measured, one) for one in pair),

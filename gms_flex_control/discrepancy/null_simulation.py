@@ -275,6 +275,10 @@ class EncoderNoise:
                 self._anchors[key] = kept
         return kept[2]
 
+    def forget(self) -> None:
+        """Foresee noise from the null simulation again, whatever was simulated since."""
+        self._anchors.clear()
+
     def is_foreseen(self, robot) -> bool:
         """Return whether it is known how noise shows in all effects that were added."""
         return self._by_effect.keys() >= set(self._added(robot))
