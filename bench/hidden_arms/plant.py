@@ -170,9 +170,9 @@ def recording_of(robot: RobotParams, described: RobotParams, hidden: Sequence[Hi
             before = data.qpos[:n].copy()
             gms.advance(state, turned, data.qvel[:n].copy(), STEP, friction)
             gms.total(state, data.qvel[:n].copy(), friction, tau)
-            twist = np.zeros(n)
-            twist[soft] = data.qpos[n:] - data.qpos[soft]
-            spring = np.where(arm.rigid, 0.0, effect.spring(twist, np.where(
+            torsion = np.zeros(n)
+            torsion[soft] = data.qpos[n:] - data.qpos[soft]
+            spring = np.where(arm.rigid, 0.0, effect.spring(torsion, np.where(
                 arm.rigid, 0.0, arm.stiffness)))
             outside = effect.outside(k, part, data.qpos[:n], data.qvel[:n], now, tau)
             drive = acted + effect.on_motor(now) + outside[1]
@@ -246,13 +246,13 @@ class _Acting:
                 out[j] += p['amplitude'] * np.sin(p['order'] * angle[j] + p['phase'])
         return out
 
-    def spring(self, twist, stiffness):
+    def spring(self, torsion, stiffness):
         """Return the torques (n,) of the springs."""
-        twist = twist.copy()
+        torsion = torsion.copy()
         for name, j, p in self._effects:
             if name == 'backlash':
-                twist[j] -= np.clip(twist[j], -p['half_gap'], p['half_gap'])
-        return stiffness * twist
+                torsion[j] -= np.clip(torsion[j], -p['half_gap'], p['half_gap'])
+        return stiffness * torsion
 
     def friction(self, tau, angle, carried):
         """Return the friction of all joints (n,), from ``tau`` of the robot without effects."""

@@ -25,7 +25,7 @@ def answer(*keys, confusable=()):
 @pytest.mark.parametrize('kind, truth, verdict, findings, right, wrong', [
     ('single', [GAIN], 'found', answer(GAIN, SLOPE), True, False),
     ('single', [GAIN], 'found', answer(SLOPE, GAIN), False, True),
-    ('single', [GAIN], 'found', answer(SLOPE, confusable=('torque_gain',)), False, False),
+    ('single', [GAIN], 'found', answer(SLOPE, confusable=(' of '.join(GAIN),)), False, False),
     ('single', [GAIN], 'unexplained', answer(), False, False),
     ('double', [GAIN, SLOPE], 'found', answer(SLOPE, GAIN), True, False),
     ('double', [GAIN, SLOPE], 'found', answer(SLOPE), False, False),
