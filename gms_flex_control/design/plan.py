@@ -249,12 +249,8 @@ def separate(recordings: Sequence[Recording], robot: RobotParams, sets: Sequence
 
     Parameters
     ----------
-    recordings : sequence of Recording
-        So far.
-    robot : RobotParams
-        As believed before them.
-    sets : sequence of collection of (effect, joint)
-        The hypotheses.
+    recordings, robot, sets
+        As of `beliefs_of`.
     gains, limits, period, odds, longest, weight, say
         As of `plan_next`.
     drive : callable

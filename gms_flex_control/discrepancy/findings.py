@@ -174,9 +174,9 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
     Nor with those of one size that hardly act here: where they act, they would do much.
     """
     while worths:
-        hardly = next((one.index for one in worths if find(
-            found.best.model.robot.effects[one.index].name).of_one_size and not _lessened(
-                likelihood, found, one, held_out)[2]), None)
+        effects = found.best.model.robot.effects
+        hardly = next((one.index for one in worths if find(effects[one.index].name).of_one_size
+                       and not _lessened(likelihood, found, one, held_out)[2]), None)
         if hardly is not None:
             found, worths = _pruned(likelihood, _dropped(likelihood, found, hardly))
             continue

@@ -223,19 +223,21 @@ def with_nuisances(robot, nuisances, x) -> RobotParams:
 
     Its record is that of `tuned`.
     """
-    own = plant.constants_of(replace(robot, effects=()))
-    wanted, record = tuned(plant.constants_of(robot), nuisances, x, own).chain, tuned(
-        own, nuisances, x)
+    bare = plant.constants_of(replace(robot, effects=()))
+    wanted = tuned(plant.constants_of(robot), nuisances, x, bare).chain
+    record = tuned(bare, nuisances, x)
     # some effects scale what a link is, and so what nuisance parameters add; what effects make of
     # it is affine in what it is without them, unless a mass must give way
-    names = _CARRIED['urdf' if robot.arm.frames else 'planar']
+    probes = {name: _probe(name, robot.n_joints)
+              for name in _CARRIED['urdf' if robot.arm.frames else 'planar']}
     for _ in range(_TURNS):
-        whole, other = _carried(names, robot, record), record.copy()
-        for name in names:
-            getattr(other.chain, name)[...] *= 1.0 + _probe(name, robot.n_joints)
-        for name, one, two in zip(names, whole, _carried(names, robot, other), strict=True):
+        whole, other = _carried(probes, robot, record), record.copy()
+        for name, probe in probes.items():
+            getattr(other.chain, name)[...] *= 1.0 + probe
+        for (name, probe), one, two in zip(
+                probes.items(), whole, _carried(probes, robot, other), strict=True):
             own = getattr(record.chain, name)
-            change = _probe(name, robot.n_joints) * own
+            change = probe * own
             own += (getattr(wanted, name) - one) / np.divide(
                 two - one, change, out=np.ones_like(own), where=change != 0.0)
     return _with_record(robot, record)

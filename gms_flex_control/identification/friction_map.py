@@ -76,13 +76,16 @@ def friction_map(segments: Sequence[Segment], arm: ArmParams, joint: int, period
 
     Of a quarter second, or shorter where the motion turns around too often for them.
     """
-    size, judge = max(round(_WINDOW / period), _SHORTEST), any
-    while True:
+    def enough(found):
+        return [np.sum(way * found.velocity > 0.0) >= _FEWEST_WINDOWS for way in (1.0, -1.0)]
+    size = max(round(_WINDOW / period), _SHORTEST)
+    found = _in_windows(segments, arm, joint, period, half, size)
+    if any(enough(found)):
+        return found
+    while size > _SHORTEST and not all(enough(found)):
+        size = max(size // 2, _SHORTEST)
         found = _in_windows(segments, arm, joint, period, half, size)
-        if size == _SHORTEST or judge(np.sum(way * found.velocity > 0.0) >= _FEWEST_WINDOWS
-                                      for way in (1.0, -1.0)):
-            return found
-        size, judge = max(size // 2, _SHORTEST), all
+    return found
 
 
 def _in_windows(segments, arm, joint, period, half, size):

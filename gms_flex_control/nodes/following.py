@@ -196,11 +196,10 @@ class Handover:
     def fade(self, stamp, torque) -> None:
         """Let ``torque`` (n,) begin with the one before, where a motion begins; in place."""
         if self._share < 1.0:
-            self._share += min((stamp - self._seen) / _FADE, _RISE)
+            self._share = min(self._share + min((stamp - self._seen) / _FADE, _RISE), 1.0)
             self._seen = stamp
-            share = min(self._share, 1.0)
-            torque *= share
-            torque += (1.0 - share) * self._torque
+            torque *= self._share
+            torque += (1.0 - self._share) * self._torque
 
 
 class Follower:
