@@ -148,7 +148,7 @@ class BridgedRobot(SupervisedRobot):
     def obstacle(self) -> str:
         """Return what stands against torque now; '' if nothing does."""
         with self._lock:
-            if not self._supervisor.at_zero:
+            if not self.at_zero:
                 return ''
             return (self._health.fault or self._bridge.obstacle(self.now())
                     or self._link.obstacle() or ('the bridge ends' if self._ends else ''))
