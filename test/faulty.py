@@ -62,8 +62,8 @@ def healthy(name):
     if name == 'experiment':
         robot = load_robot(ROOT / 'config' / 'robot.yaml')
         gains = load_controller(ROOT / 'config' / 'controller.yaml', robot)
-        plan = read_identification_plan([ROOT / 'config' / 'identification_demo.yaml'], robot,
-                                        gains)
+        plan = read_identification_plan(
+            [ROOT / 'bench' / 'demos' / 'identification.yaml'], robot, gains)
         return simulate_identification(plan, robot, gains, 3)[0], robot
     motion, overrides = HEALTHY[name]
     plan = read_plan([ROOT / 'config' / f'{stem}.yaml' for stem in (

@@ -17,14 +17,14 @@ from gms_flex_control.schema.files import load_controller, load_robot
 import pytest
 
 CONFIG = Path(__file__).parents[1] / 'config'
+DEMO = CONFIG.parent / 'bench' / 'demos' / 'identification.yaml'
 ROBOT = load_robot(CONFIG / 'robot.yaml')
 GAINS = load_controller(CONFIG / 'controller.yaml', ROBOT)
 
 
 def planned(**overrides):
     changed = {f'identification.{key}': value for key, value in overrides.items()}
-    return read_identification_plan([CONFIG / 'identification_demo.yaml'], ROBOT, GAINS,
-                                    overrides=changed)
+    return read_identification_plan([DEMO], ROBOT, GAINS, overrides=changed)
 
 
 def test_a_journal_is_read_back_and_names_bags_beside_the_first(tmp_path):

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.fast
 CONFIG = Path(__file__).parents[1] / 'config'
 ROBOT = load_robot(CONFIG / 'robot.yaml')
 GAINS = load_controller(CONFIG / 'controller.yaml', ROBOT)
-FILES = ('identification.yaml', 'identification_demo.yaml')
+FILES = ('identification.yaml', '../bench/demos/identification.yaml')
 COUNT = 2 * np.pi / 20000
 
 

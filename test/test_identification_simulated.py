@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 CONFIG = Path(__file__).parents[1] / 'config'
+DEMO = CONFIG.parent / 'bench' / 'demos' / 'identification.yaml'
 ROBOT = load_robot(CONFIG / 'robot.yaml')
 GAINS = load_controller(CONFIG / 'controller.yaml', ROBOT)
-PLAN = read_identification_plan([CONFIG / 'identification_demo.yaml'], ROBOT, GAINS)
+PLAN = read_identification_plan([DEMO], ROBOT, GAINS)
 K = 1.5  # N m/rad, of both springs
 
 
@@ -110,10 +111,9 @@ def test_a_rigid_axis_is_identified_by_its_own_torque():
     """No motor side: what is recorded is the torque on the joint."""
     arm = replace(ROBOT.arm, stiffness=np.full(2, np.inf))
     rigid = replace(ROBOT, arm=arm, motors=('', ''))
-    plan = read_identification_plan(
-        [CONFIG / 'identification_demo.yaml'], rigid, GAINS,
-        overrides={'identification.joints': ['joint2'],
-                   'identification.experiments': ['constant_velocity', 'break_away']})
+    plan = read_identification_plan([DEMO], rigid, GAINS, overrides={
+        'identification.joints': ['joint2'],
+        'identification.experiments': ['constant_velocity', 'break_away']})
     recording, phases = simulate_identification(plan, rigid, GAINS, 1)
     assert np.isnan(recording.q_motor).all() and np.isfinite(recording.tau_motor).all()
     for phase, part, j in parts((recording, phases), 'constant_velocity'):

@@ -17,9 +17,10 @@ messages = pytest.importorskip('gms_flex_control.nodes.messages')
 experiment_watch = pytest.importorskip('gms_flex_control.nodes.step_runner')
 
 CONFIG = Path(__file__).parents[1] / 'config'
+DEMO = CONFIG.parent / 'bench' / 'demos' / 'identification.yaml'
 ROBOT = load_robot(CONFIG / 'robot.yaml')
-PLAN = read_identification_plan([CONFIG / 'identification_demo.yaml'], ROBOT,
-                                load_controller(CONFIG / 'controller.yaml', ROBOT))
+PLAN = read_identification_plan([DEMO], ROBOT, load_controller(
+    CONFIG / 'controller.yaml', ROBOT))
 PERIOD = 2_000_000
 
 

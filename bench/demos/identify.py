@@ -29,7 +29,7 @@ from gms_flex_control.experiment.driven import (
 )
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.simulated import scaled_friction, simulate
-from gms_flex_control.file_io import controller_file, robot_file, share_path
+from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.output import write_friction, write_report_json
 from gms_flex_control.reports.answers import identification_text
@@ -54,7 +54,7 @@ VERB = Verb(
     f'identified friction is more than {ALLOWED:g} times worse than with the true one.', (
         out_folder('folder for everything; made anew', 'demo_identify_output'),
         option('--plan', metavar='YAML',
-               help='parameters of the experiment (default: config/identification_demo.yaml)'),
+               help='parameters of the experiment (default: bench/demos/identification.yaml)'),
         JSON), ())
 add_parser = partial(add_verb, VERB)
 
@@ -160,11 +160,11 @@ class Experiment(NamedTuple):
 
 
 def read_experiment(plan_file=None) -> Experiment:
-    """Return the Experiment of a plan file; by default the short one of the package."""
+    """Return the Experiment of a plan file; by default the short one beside this file."""
     robot = load_robot(robot_file())
     believed = replace(robot, friction=scaled_friction(robot.friction, BELIEVED_FRICTION))
     gains = load_controller(controller_file(), robot)
-    plan_file = Path(plan_file or share_path() / 'config' / 'identification_demo.yaml')
+    plan_file = Path(plan_file or Path(__file__).with_name('identification.yaml'))
     plan = read_identification_plan([plan_file], believed, gains)
     return Experiment(plan, plan_file, believed, gains)
 

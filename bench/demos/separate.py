@@ -57,7 +57,7 @@ def demo_next(args) -> int:
     os.environ.update(private_environment())  # of the nodes and of this process
     prepare(out, VERB.name)
     believed, plant = (out / f'{name}_robot.yaml' for name in ('believed', 'hidden'))
-    motion = share_path() / 'config' / 'demo_next.yaml'
+    motion = Path(__file__).with_name('next.yaml')
     hidden, task = _written(args, believed, plant, motion, out / 'first')
     files = believed, controller_file(), motion
     compile_effects((files, plant))

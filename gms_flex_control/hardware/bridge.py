@@ -80,7 +80,7 @@ class RobotSide:
             del self.published[next(iter(self.published))]
 
     def silent(self, now, params) -> str:
-        """Return a sentence if the robot has stopped to speak; else ''."""
+        """Return a sentence if joint states have stopped coming; else ''."""
         if self.arrived is None:
             return f"no joint states from {', '.join(params.sources)} yet"
         if now - self.arrived <= params.state_timeout * NANOSECONDS:

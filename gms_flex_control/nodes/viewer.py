@@ -190,6 +190,18 @@ class LiveView:
         return result
 
 
+class _BytesError(Exception):
+    """Bytes make no message."""
+
+
+def _read(function, data, kind):
+    """Return what a function reads of a message's bytes; raise _BytesError where it cannot."""
+    try:
+        return function(data, kind)
+    except (RuntimeError, struct.error) as error:
+        raise _BytesError from error
+
+
 class _Listener:
     """
     Rows of the loop's messages for a Feed, and how its robot is.
@@ -231,7 +243,7 @@ class _Listener:
                 waiting.append((taken[1]['received_timestamp'], handler, taken[0]))
         waiting.sort(key=itemgetter(0))
         for _, handler, data in waiting:
-            with suppress(RuntimeError, struct.error):  # bytes that make no message
+            with suppress(_BytesError):
                 handler(data)
 
     def pass_on(self, there) -> None:
@@ -272,9 +284,9 @@ class _Listener:
 
     def _on_joint_states(self, data):
         self._heard = time.monotonic()
-        if self._rows is not None and not self._rows.wants(stamp_in(data, JointState)):
+        if self._rows is not None and not self._rows.wants(_read(stamp_in, data, JointState)):
             return
-        message = deserialize_message(data, JointState)
+        message = _read(deserialize_message, data, JointState)
         names = list(message.name)
         if self._rows is None:
             links = link_names(names)
@@ -292,25 +304,25 @@ class _Listener:
                              link, motor)
 
     def _on_array(self, signal, data):
-        if self._rows is None or not self._rows.wants_more(signal, stamp_in(
-                data, Float64MultiArray)):
+        if self._rows is None or not self._rows.wants_more(signal, _read(
+                stamp_in, data, Float64MultiArray)):
             return
-        message = deserialize_message(data, Float64MultiArray)
+        message = _read(deserialize_message, data, Float64MultiArray)
         dims = message.layout.dim
         if signal != 'reference' or not dims or dims[0].label != messages.EFFORT:
             self._rows.put(signal, messages.read_stamp(message), message.data)
 
     def _on_state(self, data):
-        stamp = stamp_in(data, JointState)
+        stamp = _read(stamp_in, data, JointState)
         if self._rows is None or not self._rows.wants_more('error', stamp):
             return
-        message = deserialize_message(data, JointState)
+        message = _read(deserialize_message, data, JointState)
         if tuple(message.name) == tuple(self._links):
             self._rows.put('error', stamp, message.position)
             self._rows.put('friction', stamp, message.effort)
 
     def _on_diagnostics(self, data):
-        message = deserialize_message(data, DiagnosticArray)
+        message = _read(deserialize_message, data, DiagnosticArray)
         for status in message.status:
             if status.hardware_id == f'{self._space}/plant':
                 self._robot.report({item.key: item.value for item in status.values},
