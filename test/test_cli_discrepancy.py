@@ -176,22 +176,20 @@ def test_bad_data_are_named_and_end_the_run(folder, tmp_path, capsys, reversed_t
     for name in (*MADE_BY_SOME, 'notes.png'):
         (tmp_path / 'out' / name).write_text('of an earlier run')
     (tmp_path / 'out' / 'report.json').write_text(earlier)
-    assert run(tmp_path, reversed_torque, robot=folder / 'robot.yaml') == 2
+    as_json = ['--json'] * kept
+    assert run(tmp_path, reversed_torque, *as_json, robot=folder / 'robot.yaml') == 2
     printed = capsys.readouterr()
-    assert printed.out == '' and 'wrong sign' in ' '.join(printed.err.split())
     report = read_json((tmp_path / 'out' / 'report.json').read_text(encoding='utf-8'))
+    if as_json:
+        assert read_json(printed.out) == report and printed.err == ''
+    else:
+        assert printed.out == '' and 'wrong sign' in ' '.join(printed.err.split())
     assert report['verdict'] == 'bad_data' and report['gap'] is None
     assert any('wrong sign' in fault for fault in report['faults'])
     assert all((tmp_path / 'out' / name).exists() is kept for name in MADE_BY_SOME)
     assert (tmp_path / 'out' / 'notes.png').exists()
     page = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
     assert 'The data are at fault' in page and 'wrong sign' in page
-
-
-def test_json_is_printed_and_nothing_else(folder, tmp_path, capsys, reversed_torque):
-    assert run(tmp_path, reversed_torque, '--json', robot=folder / 'robot.yaml') == 2
-    printed = capsys.readouterr()
-    assert read_json(printed.out)['verdict'] == 'bad_data' and printed.err == ''
 
 
 @pytest.mark.parametrize(('arguments', 'words'), [

@@ -1,17 +1,16 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What a model lacks, asked of many bags each by itself: the same wherever it is done."""
+"""What a model lacks, asked of many bags each by itself; test_cli_each_bag has more."""
 
+from contextlib import redirect_stdout
 from dataclasses import replace
 import json
 from pathlib import Path
 
 from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.hide import write_case
-from gms_flex_control.cli.discrepancy_of_bags import ask_bag, items_of
-from gms_flex_control.cli.each_bag import reason_or
-from gms_flex_control.cli.main import build_parser, main
+from gms_flex_control.cli.main import main
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.effects import registry
 import pytest
@@ -40,47 +39,31 @@ def arguments(folder, out, *further):
 
 
 @pytest.fixture(scope='module')
-def alone(folder, tmp_path_factory):
-    """Return a folder of results made by a plain loop in this process, and what was returned."""
-    out = tmp_path_factory.mktemp('alone')
-    items, _ = items_of(build_parser().parse_args(arguments(folder, out)))
-    return out, {item.place.name: reason_or(ask_bag, item) for item in items.values()}
+def out(folder, tmp_path_factory):
+    """Return the folder of results that two processes made; in it what was printed."""
+    out = tmp_path_factory.mktemp('results')
+    with (out / 'printed').open('w') as file, redirect_stdout(file):
+        assert main(arguments(folder, out, '--workers', '2')) == 1
+    return out
 
 
-def assert_same(out, alone):
-    """Raise unless a batch has what the plain loop has."""
-    folder, values = alone
-    for name in NAMES:
-        reports = [json.loads((path / name / 'report.json').read_text()) | {'seconds': 0.0}
-                   for path in (out, folder)]
-        assert reports[0] == reports[1]
-        assert {path.name for path in (out / name).iterdir()} == {
-            path.name for path in (folder / name).iterdir()}
-    summary = json.loads((out / 'summary.json').read_text())
-    assert summary['bags'] == [{'bag': name, **values[name]} for name in NAMES]
-
-
-def test_the_good_bag_names_what_is_hidden_and_the_bad_one_its_fault(folder, alone):
-    _, values = alone
-    hidden = json.loads((folder / 'truth.json').read_text())['effects'][0]
-    assert values['bag']['reason'] is None
-    assert f'{hidden["effect"]} of {hidden["joint"]}' in values['bag']['effects']
-    assert 'wrong sign' in values['reversed']['reason']
-    page = (alone[0] / 'bag' / 'report.html').read_text()
-    assert str(alone[0] / 'bag' / 'robot.yaml') in page and '.part' not in page
-
-
-def test_processes_say_what_a_plain_loop_says(folder, alone, tmp_path, capsys):
-    assert main(arguments(folder, tmp_path / 'out', '--workers', '2')) == 1
-    printed = capsys.readouterr().out
+def test_the_good_bag_names_what_is_hidden_and_the_bad_one_its_fault(folder, out):
+    printed = (out / 'printed').read_text()
     assert '1 of 2 bags answered, effects_found 1' in printed
     assert 'BAD DATA reversed: ' in printed and 'backlash' in printed
-    assert_same(tmp_path / 'out', alone)
+    bags = json.loads((out / 'summary.json').read_text())['bags']
+    assert [one['bag'] for one in bags] == list(NAMES)
+    good, bad = bags
+    hidden = json.loads((folder / 'truth.json').read_text())['effects'][0]
+    assert good['reason'] is None
+    assert f'{hidden["effect"]} of {hidden["joint"]}' in good['effects']
+    assert 'wrong sign' in bad['reason']
+    page = (out / 'bag' / 'report.html').read_text()
+    assert str(out / 'bag' / 'robot.yaml') in page and '.part' not in page
 
 
-def test_the_model_that_was_asked_with_is_not_replaced(folder, alone, capsys):
+def test_the_model_that_was_asked_with_is_not_replaced(folder, out, capsys):
     """Results of one bag may be the model of the next run, but not of one over them."""
-    out = alone[0]
     own = out / 'bag' / 'robot.yaml'
     before = own.read_bytes()
     args = arguments(folder, out)

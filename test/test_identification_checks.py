@@ -68,7 +68,7 @@ def test_neither_wrong_parameters_nor_lag_nor_skew_are_taken_for_faults(name):
 
 
 @pytest.mark.parametrize(('base', 'fault'), [
-    *((base, fault) for base in ('unlike', 'stiff') for fault in (*FAULTS, *SIDES)),
+    *(('unlike', fault) for fault in (*FAULTS, *SIDES)), *(('stiff', fault) for fault in SIDES),
     *(('rigid', fault) for fault in FAULTS), *(('experiment', fault) for fault in OF_EXPERIMENT)])
 def test_an_injected_fault_is_named(base, fault):
     kind, severity, inject = (FAULTS | SIDES)[fault]

@@ -51,20 +51,9 @@ def test_a_signal_closes_the_bag_and_exits_0(lab, tmp_path, number, options):
     assert before * 1e-9 < summary.start < time.time()
 
 
-@pytest.mark.parametrize(('options', 'sentences', 'code'), [
-    (('--topics', '/nobody', '--duration', '0.5'), (
-        "not recorded: topic '/nobody' never had a publisher", ': 0 messages',
-        'nothing was received'), 1),
-    (('--topics', '/a', '--duration', 'nan'), ('--duration nan: must be at least 0.001',), 2),
-    ((), ('one of the arguments --topics --all is required',), 2)])
-def test_what_cannot_be_recorded_is_said(lab, tmp_path, options, sentences, code):
-    recorder = record(lab, tmp_path / 'bag', *options)
-    assert recorder.wait() == code
-    assert all(sentence in recorder.printed() for sentence in sentences), recorder.printed()
-
-
-def test_a_bag_is_never_overwritten(lab, tmp_path):
-    recorder = record(lab, tmp_path, '--topics', '/a')
-    assert recorder.wait() == 2
-    assert 'exists already; bags are never overwritten' in recorder.printed()
-    assert list(tmp_path.iterdir()) == []
+def test_a_topic_that_nobody_publishes_is_named(lab, tmp_path):
+    recorder = record(lab, tmp_path / 'bag', '--topics', '/nobody', '--duration', '0.5')
+    assert recorder.wait() == 1
+    for sentence in ("not recorded: topic '/nobody' never had a publisher", ': 0 messages',
+                     'nothing was received'):
+        assert sentence in recorder.printed()

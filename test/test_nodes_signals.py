@@ -100,7 +100,7 @@ def test_the_first_start_says_why_it_takes_long_and_can_be_ended(tmp_path):
 def test_help_says_what_a_node_is_and_how_it_is_started(tmp_path):
     with Lab(tmp_path) as lab:
         nodes = {name: lab.run([*executable(name), '--help'], name)
-                 for name in (*NODES, 'loop_node', 'identification_node')}
+                 for name in ('plant_node', 'loop_node')}
         for name, node in nodes.items():
             assert node.wait() == 0
             assert f'usage: ros2 run gms_flex_control {name} --ros-args' in node.printed()
