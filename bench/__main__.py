@@ -11,8 +11,7 @@ from gms_flex_control.cli.main import parser_of
 
 PROG = 'python -m bench'
 GROUPS = {
-    'on this machine': {'speed': 'bench.speed.speed', 'joints': 'bench.joints',
-                        'growth': 'bench.growth',
+    'on this machine': {'speed': 'bench.speed.speed', 'growth': 'bench.growth',
                         'faults': 'bench.faults.faults'},
     'on robots that are simulated': {
         'recover': 'bench.recover', 'coverage': 'bench.coverage',
@@ -30,7 +29,6 @@ GROUPS = {
 EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
             for verb, each in {
     'speed': ('--quick', '--only loop step --json'),
-    'joints': ('', '--most 3 --json'),
     'growth': ('--verbs identify', '--out growth'),
     'faults': ('--list', '--short --logs fault_logs'),
     'recover': ('--seeds 3', '--seeds 20 --out recovery'),

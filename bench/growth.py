@@ -6,7 +6,8 @@ How time and memory of identify and discrepancy grow with joints and with minute
 
     .venv/bin/python -m bench growth --out growth
 
-Recordings at 500 Hz of chains in space as of bench.joints, each joint on a sinusoid of its own.
+Recordings at 500 Hz of chains of flexible joints with six Maxwell blocks each, axes turned by 90
+degrees from one joint to the next, each joint on a sinusoid of its own.
 Every case is a process that is given the recording, so that memory is its own.
 """
 
@@ -19,18 +20,24 @@ import tempfile
 import time
 from typing import NamedTuple
 
-from bench.joints import gains_of, planar_robot, spatial_robot
 from gms_flex_control.answer import align
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import Plan, simulate
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import EncoderParams, RobotParams
+from gms_flex_control.schema.urdf import robot_urdf
+from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.trajectory import builders
 from matplotlib.figure import Figure
 import numpy as np
 
-_PERIOD_NS, _SUBSTEPS = 2_000_000, 20
+_BLOCKS, _PERIOD_NS, _SUBSTEPS = 6, 2_000_000, 20
+_TURN = 'rpy="0.0 0.0 0.0"', 'rpy="1.5707963267948966 0.0 0.0"'
 _AMPLITUDE, _SLOWEST, _FASTEST = 0.5, 7.0, 3.0  # of the motion [rad], periods of joints [s]
 _COUNTS = 1e6         # of encoders, per revolution
 _JOINTS, _MINUTES = (1, 2, 3, 4, 5, 6), (0.5, 1.0, 2.0, 4.0)
@@ -49,11 +56,38 @@ class Cost(NamedTuple):
     megabytes: float
 
 
-def _gains(joints):
-    """Return gains that are calm at this sample, unlike those of bench.joints."""
-    one = np.ones(joints)
-    return replace(gains_of(joints), kd_link=10.0 * one, lambda_link=5.0 * one,
-                   kd_motor=10.0 * one, lambda_motor=40.0 * one, filter_bandwidth=50.0 * one)
+def planar_robot(n: int) -> RobotParams:
+    """Return a planar chain of n flexible joints under gravity."""
+    one = np.ones(n)
+    steady = StribeckParams(static=1.2 * one, coulomb=one, velocity=0.05 * one, viscous=0.5 * one)
+    friction = FrictionParams(
+        forward=steady, backward=steady, attraction=20.0 * one,
+        stiffness=np.tile(np.geomspace(100.0, 3000.0, _BLOCKS), (n, 1)),
+        weight=np.full((n, _BLOCKS), 1.0 / _BLOCKS))
+    arm = ArmParams(kind='planar', mass=one, length=0.2 * one, com=0.1 * one, inertia=0.02 * one,
+                    motor_inertia=0.2 * one, stiffness=500.0 * one, damping=0.0 * one,
+                    gravity=9.81)
+    return RobotParams(
+        joints=tuple(f'joint{j}' for j in range(n)), motors=tuple(f'motor{j}' for j in range(n)),
+        arm=arm, friction=friction, encoder=EncoderParams(counts=0, noise=0, velocity_cutoff=0))
+
+
+def spatial_robot(robot: RobotParams, path: Path) -> RobotParams:
+    """Return a planar robot with its axes turned out of the plane, its URDF in ``path``."""
+    path.write_text(robot_urdf(robot, motors=False).replace(*_TURN))
+    links, n = read_links(path, robot.joints), robot.n_joints
+    return replace(robot, arm=replace(
+        robot.arm, kind='urdf', frames=links.frames, mass=links.mass, com=links.com,
+        inertia=links.inertia, length=np.zeros(n), gravity=[0.0, -9.81, 0.0]))
+
+
+def gains_of(n: int) -> ControllerParams:
+    """Return gains of n joints."""
+    one = np.ones(n)
+    return ControllerParams(
+        compensation='gms', kd_link=10.0 * one, lambda_link=5.0 * one, kd_motor=10.0 * one,
+        lambda_motor=40.0 * one, observer_gain=one, sign_slope=50.0 * one,
+        filter_bandwidth=50.0 * one, torque_limit=1e3 * one)
 
 
 def recorded(joints: int, minutes: float):
@@ -64,7 +98,7 @@ def recorded(joints: int, minutes: float):
     motion = builders.sinusoid(np.full(joints, _AMPLITUDE),
                                np.linspace(_SLOWEST, _FASTEST, joints))
     return robot, simulate(Plan(
-        robot=robot, model=robot, gains=_gains(joints), trajectory=motion, motion='sinusoid',
+        robot=robot, model=robot, gains=gains_of(joints), trajectory=motion, motion='sinusoid',
         duration=60.0 * minutes, q_link=np.zeros(joints), period_ns=_PERIOD_NS,
         substeps=_SUBSTEPS, seed=0))
 

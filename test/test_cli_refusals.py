@@ -23,7 +23,7 @@ WRONG = {
     'demo-discrepancy': '--effect nothing --out {dir}', 'demo-next': '--out {file}',
     'simulate': '--robot {missing} --out {dir}', 'record': '--all --duration -1 --out {dir}',
     'import-csv': '{missing} --map import_kr300.yaml --out {dir}',
-    'check-gains': '--robot {missing}', 'joints': '--most 0', 'speed': '--robot {missing}',
+    'check-gains': '--robot {missing}', 'speed': '--robot {missing}',
     'recover': '--seeds 0', 'hide': '--seeds x --out {dir}',
     'score': '--kind single --seeds x --out {dir}', 'faults': '--only nonsense',
     'coverage': '--seeds x --out {dir}', 'real-machines': 'nonsense --out {dir}',

@@ -17,12 +17,10 @@ SUITES = {
     'view': ('view_live', 'measure'),
     'fit': ('fit', 'measure_fit'),
     'identify': ('fit', 'measure_identification'),
-    'effects': ('effect_dispatch', 'measure'),
-    'arguments': ('kernel_arguments', 'measure'),
     'batches': ('batches', 'measure'),
     'export': ('mujoco_export', 'measure'),
 }
-# the others support decisions in docs/decisions.md
+# the others support docs/view.md, docs/scale.md and docs/export.md
 DEFAULT = ('loop', 'step', 'tick', 'ros', 'fit', 'identify')
 
 
@@ -31,11 +29,10 @@ def add_parser(subparsers):
     parser = subparsers.add_parser(
         'speed', help='speed on this machine, beside MuJoCo and numpy',
         description='Measure speed: medians of interleaved repetitions. Compare figures of one '
-                    'run only. MuJoCo is measured where the extra "bench" is installed. The '
-                    'suites "effects", "arguments" and "batches" are those of docs/decisions.md '
-                    'and docs/scale.md, "export" compares free runs of the exported MJCF with our '
-                    'own, effect by effect (docs/export.md), "view" the late samples of the loop '
-                    'with and without the page of view live; these run only when asked for.')
+                    'run only. MuJoCo is measured where the extra "bench" is installed. Only when '
+                    'asked for: "batches" (docs/scale.md), "export", free runs of the exported '
+                    'MJCF beside our own, effect by effect (docs/export.md), and "view", the late '
+                    'samples of the loop with and without the page of view live.')
     parser.add_argument('--quick', action='store_true', help='rough figures in a few seconds')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.add_argument('--only', nargs='+', choices=SUITES, metavar='SUITE',

@@ -7,16 +7,8 @@ from dataclasses import replace
 import json
 
 from bench.__main__ import main
-from bench.speed import (
-    effect_dispatch,
-    fit,
-    mujoco_arm,
-    numpy_identification,
-    numpy_loop,
-    simulation,
-)
+from bench.speed import fit, mujoco_arm, numpy_identification, numpy_loop
 from gms_flex_control.dynamics.chain import matrices
-from gms_flex_control.effects.signals import WIDTH
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.params.robot import EncoderParams
@@ -76,18 +68,6 @@ def test_a_robot_mujoco_cannot_compare_with_is_refused(robot):
     decoupled = replace(robot, arm=replace(robot.arm, kind='decoupled'))
     with pytest.raises(ConfigError, match='needs a planar arm'):
         mujoco_arm.mjcf(decoupled, 1e-4)
-
-
-@pytest.mark.filterwarnings('ignore:First-class function')
-def test_all_ways_to_join_effects_give_the_same_signals(tmp_path, monkeypatch):
-    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
-    results = []
-    for build in effect_dispatch.ALTERNATIVES.values():
-        signals, memory = np.linspace(0.1, 0.9, 2 * WIDTH), np.zeros(16)
-        build(simulation.EFFECTS[:1])(2, signals, memory, 1e-4)
-        results.append(signals)
-    for signals in results[1:]:
-        np.testing.assert_array_equal(signals, results[0])
 
 
 def test_the_plain_fit_has_the_same_cost_at_any_parameters_and_is_found_wanting(robot, gains):
