@@ -23,21 +23,13 @@ _START = 1e-3  # links begin within this, so that encoders turn over elsewhere e
 def simulate_identification(plan, robot, gains, seed, *, rate=1000, torque_noise=1e-3,
                             model=None) -> tuple[Recording, tuple]:
     """
-    Run the IdentificationPlan on a simulated robot.
+    Run the IdentificationPlan on a simulated robot; return its Recording and Phases.
 
     The plan chooses the compensation of ``gains``; ``model`` is the robot as the controller
     believes it to be, by default as it is. ``seed`` is of encoder and torque noise, and of where
     within a count the links begin; ``rate`` in samples per second [Hz]; ``torque_noise`` the
     standard deviation of the recorded torque beyond what acts [N m]. SimulationError if it
     diverges.
-
-    Returns
-    -------
-    recording : Recording
-        As the nodes would have recorded it.
-    phases : tuple of Phase
-        When each step began; 'idle' at the end.
-
     """
     experiment = _Experiment(plan, robot, gains, model or robot, seed, rate)
     for step in plan.steps():

@@ -214,29 +214,10 @@ def from_values(values):
 
 def trial(plan, robot, believed, gains, seed, *, rate, torque_noise, options=None):
     """
-    Simulate an experiment and identify it.
+    Simulate an experiment and identify it; return the Trial.
 
-    Parameters
-    ----------
-    plan : IdentificationPlan
-        The experiment.
-    robot, believed : RobotParams
-        The robot as it is, and as controller and identification believe it to be.
-    gains : ControllerParams
-        Of the controller.
-    seed : int
-        Of noise and of where within a count the links begin.
-    rate : float
-        Samples per second [Hz].
-    torque_noise : float
-        Of the recorded torque [N m].
-    options : Options, optional
-        Of the identification.
-
-    Returns
-    -------
-    Trial
-
+    ``believed`` is the robot as controller and identification believe it to be. ``rate`` in
+    samples per second [Hz], ``torque_noise`` of the recorded torque [N m].
     """
     take = simulate_identification(plan, robot, gains, seed, rate=rate,
                                    torque_noise=torque_noise, model=believed)
@@ -255,18 +236,9 @@ def trial(plan, robot, believed, gains, seed, *, rate, torque_noise, options=Non
 
 def recovered(trials):
     """
-    Return how each parameter came out over all trials.
+    Return how each parameter came out over all trials, one or more.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-        At least one.
-
-    Returns
-    -------
-    tuple of Recovered
-        Block stiffnesses only from trials with as many blocks as the truth.
-
+    Block stiffnesses only of trials with as many blocks as the truth.
     """
     groups = {}
     for one in trials:

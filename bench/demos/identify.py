@@ -231,20 +231,8 @@ def tracking_of_copies(plan, model, count=16, spread=1e-3, seed=0) -> np.ndarray
     Compensated well, what is left of an error is made of single events: a link that sticks a
     moment too long. Whether one happens hangs on friction to a millionth, so one run says little;
     the median over robots that differ by less than anyone could know says what to expect.
-
-    Parameters
-    ----------
-    plan : Plan
-        Robot, motion and gains.
-    model : RobotParams
-        What the controller believes.
-    count : int
-        How many robots.
-    spread : float
-        Standard deviation of each stiffness of their blocks, relative.
-    seed : int
-        Of these; the same robots for every model.
-
+    ``spread`` is the standard deviation of each stiffness of their blocks, relative; a ``seed``
+    gives every model the same robots.
     """
     rng, friction, errors = np.random.default_rng(seed), plan.robot.friction, []
     for _ in range(count):

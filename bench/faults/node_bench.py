@@ -65,19 +65,7 @@ def take_domain():
 
 
 class NodeProcess:
-    """
-    One process of its own; what it prints goes to a file.
-
-    Parameters
-    ----------
-    command : list of str
-        What to run.
-    environment : dict of str
-        Of the process.
-    log : Path
-        File for what it prints.
-
-    """
+    """One process of its own; what it prints goes to the file ``log``."""
 
     def __init__(self, command, environment, log):
         self.log = log
@@ -115,19 +103,9 @@ class Bench:
     """
     A private domain with node processes in it and a probing node in this process.
 
-    Parameters
-    ----------
-    folder : Path
-        For logs.
-    priority : int
-        realtime_priority of the nodes of the loop.
-
-    Attributes
-    ----------
-    executor_class : type
-        Of the probing node. EventsExecutor is faster, but cannot tell when a message was
-        published, as `rigs.Log` asks.
-
+    Logs go to ``folder``; ``priority`` is the realtime_priority of the nodes of the loop. The
+    ``executor_class`` is that of the probing node: EventsExecutor is faster, but cannot tell when
+    a message was published, as `rigs.Log` asks.
     """
 
     executor_class = SingleThreadedExecutor
@@ -192,25 +170,11 @@ class Bench:
 
     def start(self, name, *, command=None, files=None, arguments=(), **parameters):
         """
-        Start a node.
+        Start a node, ``name`` such as ``plant_node``; what follows a '.' only tells two apart.
 
-        Parameters
-        ----------
-        name : str
-            Such as ``plant_node``; what follows a '.' only tells two of them apart.
-        command : list of str, optional
-            What to run instead of the installed executable.
-        files : sequence of Path, optional
-            Parameter files; default `default_files`.
-        arguments : sequence of str
-            More of the command line.
-        **parameters
-            Of the node, with '__' for '.'.
-
-        Returns
-        -------
-        NodeProcess
-
+        ``command`` (list of str) runs instead of the installed executable, ``arguments`` are more
+        of the command line, ``files`` parameter files, by default `default_files`; ``parameters``
+        are those of the node, with '__' for '.'.
         """
         given = {key.replace('__', '.'): value for key, value in parameters.items()}
         if name.split('.')[0] in _LOOP:

@@ -101,28 +101,10 @@ class HeldRobot:
     """
     A simulated arm in this process, with controller and trajectory as processes around it.
 
-    Parameters
-    ----------
-    bench : Bench
-        Where.
-    controller : list of str, optional
-        Command of another controller process.
-    trajectory : list of str, optional
-        Command of another trajectory process.
-    parameters : dict, optional
-        Of controller and trajectory node.
-
-    Attributes
-    ----------
-    commands : Log
-        All commands.
-    shift : int
-        Added to the stamps that are published [ns].
-    quiet : bool
-        Whether the states are kept back.
-    spoil : callable
-        Changes each state before it is published.
-
+    ``controller`` and ``trajectory`` are commands (list of str) of other processes than the
+    installed ones, ``parameters`` (dict) are of both nodes. ``commands`` has all commands,
+    ``shift`` [ns] is added to the stamps that are published, ``quiet`` keeps the states back, and
+    ``spoil`` changes each before it is published.
     """
 
     def __init__(self, bench, *, controller=None, trajectory=None, parameters=None):
@@ -217,17 +199,8 @@ class Loop:
     """
     Plant, controller and trajectory as processes, moving along the sinusoid.
 
-    Parameters
-    ----------
-    bench : Bench
-        Where.
-    rate : float
-        Joint states per second [Hz].
-    controller_parameters : dict, optional
-        More of its parameters.
-    deaf_to : str
-        A topic the bench does not listen to, because it will be flooded.
-
+    ``rate`` [Hz] is that of joint states, ``deaf_to`` a topic the bench does not listen to,
+    because it will be flooded.
     """
 
     def __init__(self, bench, *, rate=RATE, controller_parameters=None, deaf_to=''):

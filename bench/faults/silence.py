@@ -100,11 +100,7 @@ class _Freeze:
     """
     Replaces some angles of a state by those of now, and their velocities by zero if asked.
 
-    Attributes
-    ----------
-    wrong : int or None
-        Stamp from which on one of the angles is further off than a velocity may tell [ns].
-
+    From the stamp ``wrong`` [ns] on one of the angles is further off than a velocity may tell.
     """
 
     def __init__(self, robot, angles, moving):

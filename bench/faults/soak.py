@@ -61,23 +61,9 @@ class _Gaps:
 
 def soak(bench, duration, *, window=WINDOW, say=lambda text: None):
     """
-    Run plant, controller and trajectory in real time.
+    Run plant, controller and trajectory in real time for ``duration`` [s]; return its Windows.
 
-    Parameters
-    ----------
-    bench : Bench
-        Where.
-    duration : float
-        How long [s].
-    window : float
-        See `Window` [s].
-    say : callable
-        Told about each window.
-
-    Returns
-    -------
-    list of Window
-
+    Each is of ``window`` [s]; ``say`` is told about it.
     """
     gaps, files = _Gaps(), [*default_files(), config('sinusoid.yaml')]
     bench.listen(Float64MultiArray, COMMANDS, gaps)
@@ -117,18 +103,9 @@ def sentence(window):
 
 def judged(windows):
     """
-    Return what of a run is not as it should be.
+    Return sentences on what of a run's ``windows``, three at least, is not as it should be.
 
-    Parameters
-    ----------
-    windows : sequence of Window
-        Of one run, three at least.
-
-    Returns
-    -------
-    list of str
-        Empty where memory does not grow and deadlines are not missed more and more.
-
+    None where memory does not grow and deadlines are not missed more and more.
     """
     memory = np.array([window.memory for window in windows])
     warm, third, found = round(_WARM * len(windows)), len(windows) // 3, []

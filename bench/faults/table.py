@@ -94,24 +94,10 @@ FAULTS = {fault.name: fault for fault in (
 
 def try_fault(fault, tries, folder=None, priority=0):
     """
-    Try one fault.
+    Try one fault, ``tries`` times; return its Row.
 
-    Parameters
-    ----------
-    fault : Fault
-        One of FAULTS.
-    tries : int
-        How often.
-    folder : Path, optional
-        For logs and bags, made by the caller; default one that is removed.
-    priority : int
-        realtime_priority of the nodes.
-
-    Returns
-    -------
-    Row
-        With the verdict; a bench that fails is a problem of the row, not an exception.
-
+    Logs and bags go to ``folder``, which the caller has made, or to one that is removed. A bench
+    that fails is a problem of the row, not an exception.
     """
     tally, begin = Tally(), time.monotonic()
     with (nullcontext(folder) if folder else tempfile.TemporaryDirectory()) as place:

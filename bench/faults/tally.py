@@ -11,26 +11,12 @@ HELD, FAILED = 'held', 'FAILED'
 
 @dataclass
 class Tally:
-    """
-    What the tries of one fault found.
+    """What the tries of one fault found."""
 
-    Parameters
-    ----------
-    tries : int
-        So many have begun.
-    worst : float or None
-        Largest figure; None if nothing was measured.
-    problems : list of str
-        What was not as required, in sentences.
-    notes : list of str
-        What else a reader should know.
-
-    """
-
-    tries: int = 0
-    worst: float | None = None
-    problems: list = field(default_factory=list)
-    notes: list = field(default_factory=list)
+    tries: int = 0  # so many have begun
+    worst: float | None = None  # largest figure; None if nothing was measured
+    problems: list = field(default_factory=list)  # what was not as required, in sentences
+    notes: list = field(default_factory=list)  # what else a reader should know
 
     def figure(self, value):
         """Take one measured figure."""
@@ -44,63 +30,21 @@ class Tally:
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """
-    One fault and how it is tried.
+    """One fault and how it is tried."""
 
-    Parameters
-    ----------
-    name : str
-        For the command line.
-    fault, required : str
-        The row of the table.
-    figure : str
-        What is measured.
-    limit : float
-        Largest figure allowed.
-    unit : str
-        Of figure and limit.
-    tries : tuple of int
-        How often, shortened and in full.
-    run : callable
-        Gets a Bench, the number of tries and a Tally to fill.
-
-    """
-
-    name: str
-    fault: str
+    name: str  # for the command line
+    fault: str  # the row of the table
     required: str
-    figure: str
-    limit: float
-    unit: str
-    tries: tuple
-    run: Callable
+    figure: str  # what is measured
+    limit: float  # largest figure allowed
+    unit: str  # of figure and limit
+    tries: tuple  # how often, shortened and in full
+    run: Callable  # gets a Bench, the number of tries and a Tally to fill
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """
-    One row of the table, filled in.
-
-    Parameters
-    ----------
-    name, fault, required, figure, unit : str
-        As in Fault.
-    limit : float
-        As in Fault.
-    tries : int
-        How often it was tried.
-    worst : float or None
-        Largest figure.
-    verdict : {'held', 'FAILED'}
-        Whether everything was as required.
-    problems, notes : tuple of str
-        What was not, and what else there is to know.
-    seconds : float
-        How long it took.
-    priority : int
-        realtime_priority of the nodes.
-
-    """
+    """One row of the table, filled in; the first fields as in Fault."""
 
     name: str
     fault: str
@@ -108,13 +52,13 @@ class Row:
     figure: str
     unit: str
     limit: float
-    tries: int
-    worst: float | None
-    verdict: str
-    problems: tuple
-    notes: tuple
-    seconds: float
-    priority: int
+    tries: int  # how often it was tried
+    worst: float | None  # largest figure
+    verdict: str  # 'held' where everything was as required, else 'FAILED'
+    problems: tuple  # what was not
+    notes: tuple  # what else there is to know
+    seconds: float  # how long it took
+    priority: int  # realtime_priority of the nodes
 
 
 def judged(fault, tally, seconds, priority=0):

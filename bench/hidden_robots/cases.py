@@ -28,73 +28,35 @@ _SHORTEST, _LONGEST = 2.0, 3600.0  # recordings [s]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth:
-    """
-    What is hidden in a case.
+    """What is hidden in a case."""
 
-    Parameters
-    ----------
-    kind : str
-        One of `KINDS`.
-    seed : int
-        It was drawn from.
-    population : str
-        It is one of.
-    plant, motion : str
-        'soft' or 'stiff'; one of `motions.MOTIONS`.
-    effects : tuple of EffectSpec
-        The main effects.
-    clutter : tuple of EffectSpec
-        Small ones in the background.
-    outsider : str or None
-        Name of the disturbance from outside the catalogue.
-    outsider_joint : str or None
-        Where it acts.
-    robot : RobotParams
-        The true robot, all effects included.
-    belief_errors : dict of str to ndarray, shape (n_joints,)
-        How far the robot is from what is believed, see `populations.belief_errors`.
-    torque_noise : ndarray, shape (n_joints,)
-        Standard deviation over a sample of the torque the drives add [N m].
-
-    """
-
-    kind: str
-    seed: int
+    kind: str  # one of `KINDS`
+    seed: int  # from which it was drawn
     population: str
-    plant: str
-    motion: str
-    effects: tuple
-    clutter: tuple
-    outsider: str | None
-    outsider_joint: str | None
-    robot: RobotParams
+    plant: str  # 'soft' or 'stiff'
+    motion: str  # one of `motions.MOTIONS`
+    effects: tuple  # the main effects
+    clutter: tuple  # small ones in the background
+    outsider: str | None  # name of the disturbance from outside the catalogue
+    outsider_joint: str | None  # where it acts
+    robot: RobotParams  # the true robot, all effects included
+    # (n_joints,), how far the robot is from what is believed, see `populations.belief_errors`
     belief_errors: dict
+    # (n_joints,), standard deviation over a sample of the torque the drives add [N m]
     torque_noise: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
-    """
-    One case as the user of a robot has it, and the truth about it.
+    """One case as the user of a robot has it, and the truth about it."""
 
-    Parameters
-    ----------
-    recording, held_out : Recording
-        Two motions of the same robot; ``tau_motor`` is the torque the drives were asked for.
-    nominal : RobotParams
-        The robot as believed: at home every parameter is 1 to 3 % off.
-    gains : ControllerParams or None
-        It was driven with; None of another controller than the cascade.
-    truth : Truth
-        Not for the tool that is tried.
-
-    """
-
+    # two motions of the same robot; ``tau_motor`` is the torque the drives were asked for
     recording: Recording
     held_out: Recording
-    nominal: RobotParams
+    nominal: RobotParams  # the robot as believed: at home every parameter is 1 to 3 % off
+    # with which it was driven; None of another controller than the cascade
     gains: ControllerParams | None
-    truth: Truth
+    truth: Truth  # not for the tool that is tried
 
     def without_links(self):
         """Return the Case of a robot whose links have no encoders."""

@@ -24,32 +24,14 @@ MADE_WORSE = 1.01  # free-run error after / before that counts as worse
 
 
 class Figure(NamedTuple):
-    """
-    One line of the table.
+    """One line of the table."""
 
-    Parameters
-    ----------
-    name : str
-        What it is.
-    value : float or None
-        Share, median or number; None where no outcome tells.
-    required : float or None
-        What it must reach; None if it is only reported.
-    at_least : bool
-        Whether more is better.
-    count : int
-        Outcomes it is taken over.
-    percent : bool
-        How it is shown.
-
-    """
-
-    name: str
-    value: float | None
-    required: float | None
-    at_least: bool
-    count: int
-    percent: bool = True
+    name: str  # what it is
+    value: float | None  # share, median or number; None where no outcome tells
+    required: float | None  # what it must reach; None if it is only reported
+    at_least: bool  # whether more is better
+    count: int  # outcomes it is taken over
+    percent: bool = True  # how it is shown
 
     @property
     def met(self):
@@ -79,19 +61,7 @@ def median(values):
 
 
 def figures_of(outcomes):
-    """
-    Return the figures of the workflow.
-
-    Parameters
-    ----------
-    outcomes : sequence of dict
-        Of `outcome.try_job`.
-
-    Returns
-    -------
-    list of Figure
-
-    """
+    """Return the Figures of the workflow, of ``outcomes`` (dicts of `outcome.try_job`)."""
     return [*_single(outcomes), *_other(outcomes), *_clutter(outcomes), *_credible(outcomes),
             *_use(outcomes)]
 
@@ -225,20 +195,9 @@ def _use(outcomes):
 
 def of_population(outcomes, population):
     """
-    Return what the workflow is worth in one population.
+    Return what the workflow is worth in one population, of ``outcomes`` of `try_job`.
 
-    Parameters
-    ----------
-    outcomes : sequence of dict
-        Of `outcome.try_job`.
-    population : str
-        One of `populations.POPULATIONS`.
-
-    Returns
-    -------
-    dict of str to float or None
-        Number of cases, shares, and medians; None where no outcome tells.
-
+    Number of cases, shares, and medians by name (dict); None where no outcome tells.
     """
     single, clean, double, clutter, outside = (
         chosen(outcomes, kind, population)
@@ -267,20 +226,9 @@ def of_population(outcomes, population):
 
 def peer_figures(outcomes, tool):
     """
-    Return what a peer's names are worth, as far as names go.
+    Return what the names of a peer, a key of ``answers``, are worth, as far as names go.
 
-    Parameters
-    ----------
-    outcomes : sequence of dict
-        Of `outcome.try_job`.
-    tool : str
-        Key of ``answers``.
-
-    Returns
-    -------
-    dict of str to float
-        By the names of the workflow's figures; what nobody answered is missing.
-
+    By the names of the workflow's figures (dict of float); what nobody answered is missing.
     """
     asked = [one for one in outcomes if tool in one['answers']]
     figures = [*_single(asked, tool), *_other(asked, tool), *_clutter(asked, tool)]
@@ -289,19 +237,10 @@ def peer_figures(outcomes, tool):
 
 def confusion(outcomes):
     """
-    Return how often each hidden effect was answered by each name first.
+    Return how often each hidden effect was answered by each name first, of all populations.
 
-    Parameters
-    ----------
-    outcomes : sequence of dict
-        Of `outcome.try_job`; singles of all populations count.
-
-    Returns
-    -------
-    dict of str to dict of str to int
-        Hidden effect -> answer -> number; an answer on another joint ends in '*', a true error
-        of belief is 'belief', and without a name it is 'unexplained', 'nothing' or 'fault'.
-
+    Hidden effect -> answer -> number; an answer on another joint ends in '*', a true error of
+    belief is 'belief', and without a name it is 'unexplained', 'nothing' or 'fault'.
     """
     table = {}
     for one in outcomes:

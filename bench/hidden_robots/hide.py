@@ -68,24 +68,7 @@ def run(args):
 
 
 def seeds_of(text):
-    """
-    Return the seeds of ``A:B`` or of a single number.
-
-    Parameters
-    ----------
-    text : str
-        Such as '0:20' or '7'.
-
-    Returns
-    -------
-    range
-
-    Raises
-    ------
-    ConfigError
-        If it is neither.
-
-    """
+    """Return the seeds (range) of ``A:B`` or of a single number; ConfigError if it is neither."""
     first, colon, last = text.partition(':')
     try:
         begin = int(first)
@@ -98,22 +81,7 @@ def seeds_of(text):
 
 
 def write_case(case, folder):
-    """
-    Write a case as its user would have it, and the truth, whole or not at all.
-
-    Parameters
-    ----------
-    case : Case
-        From cases.
-    folder : Path
-        To be made.
-
-    Raises
-    ------
-    BagError
-        If the disk refuses.
-
-    """
+    """Write a Case as its user would have it, and the truth, whole or not at all."""
     part = folder.with_name(f'.{folder.name}.{os.getpid()}')
     part.mkdir(parents=True)
     try:
@@ -131,19 +99,10 @@ def write_case(case, folder):
 
 def truth_values(truth):
     """
-    Return a Truth as plain values.
+    Return a Truth as plain values (dict).
 
-    Parameters
-    ----------
-    truth : Truth
-        Of a case, see cases.
-
-    Returns
-    -------
-    dict
-        Kind, seed, population, plant, motion, ``effects`` (main ones), ``clutter``,
-        ``outsider``, ``belief_errors`` (joint -> kind -> relative error), ``torque_noise``.
-
+    Kind, seed, population, plant, motion, ``effects`` (main ones), ``clutter``, ``outsider``,
+    ``belief_errors`` (joint -> kind -> relative error), ``torque_noise``.
     """
     outsider = None
     if truth.outsider is not None:
@@ -160,21 +119,9 @@ def truth_values(truth):
 
 def as_named(recording, motors):
     """
-    Return a Recording as a bag has it, and the motor names of its joints.
+    Return a case's Recording as a bag has it, and the motor names of its joints.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of a case.
-    motors : sequence of str
-        Of its joints.
-
-    Returns
-    -------
-    recording : Recording
-        With the motors for joints where nobody sees the links.
-    motors : sequence of str
-
+    The motors stand for joints where nobody sees the links.
     """
     if np.isfinite(recording.q_link).any():
         return recording, motors

@@ -57,24 +57,9 @@ SETS = {
 
 def jobs_of(name, share=1.0):
     """
-    Return the jobs of a set, kinds mixed evenly so that a part of a run tells of all of them.
+    Return the Jobs of a set, kinds mixed evenly so that a part of a run tells of all of them.
 
-    Parameters
-    ----------
-    name : str
-        One of `SETS`.
-    share : float
-        How much of the set, from its beginning.
-
-    Returns
-    -------
-    list of Job
-
-    Raises
-    ------
-    ConfigError
-        If there is no such set or no such share.
-
+    A ``share`` of it from its beginning. ConfigError if there is no such set or no such share.
     """
     if name not in SETS:
         raise ConfigError(f'set {name!r} is unknown; known: {", ".join(SETS)}')

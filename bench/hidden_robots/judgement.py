@@ -57,13 +57,7 @@ def is_belief_error(outcome, effect, joint):
     """
     Return whether what is named is an error of belief the robot truly has.
 
-    Parameters
-    ----------
-    outcome : dict
-        Of `outcome.try_job`.
-    effect, joint : str
-        Named by the workflow or a peer; of the workflow's findings the sign counts as well.
-
+    Of the workflow's findings the sign counts as well.
     """
     errors = outcome['truth']['belief_errors']
     found = [next(iter(one['parameters'].values())) for one in outcome['findings']
@@ -82,22 +76,11 @@ def not_believed(outcome):
 
 def judged(outcome, tool=WORKFLOW):
     """
-    Return what the first name given is worth.
+    Return what the first name given by a tool is worth, of an outcome with one main effect.
 
-    Parameters
-    ----------
-    outcome : dict
-        Of `outcome.try_job`, with one main effect hidden.
-    tool : str
-        Who answered.
-
-    Returns
-    -------
-    str
-        'right' (effect and joint), 'belief' (a parameter that truly is far from what is
-        believed), 'confusable' (another, which the answer calls indistinguishable from the right
-        one), 'wrong', 'unexplained', 'nothing' found, or 'fault' of data or tool.
-
+    'right' (effect and joint), 'belief' (a parameter that truly is far from what is believed),
+    'confusable' (another, which the answer calls indistinguishable from the right one), 'wrong',
+    'unexplained', 'nothing' found, or 'fault' of data or tool.
     """
     given, hidden = names_given(outcome, tool), hidden_names(outcome)[0]
     if tool == WORKFLOW and outcome['verdict'] in ('bad_data', 'error'):

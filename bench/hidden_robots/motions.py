@@ -13,25 +13,11 @@ _ACCELERATION = {'soft': 1.5, 'stiff': 2.5}  # of the sum of tones, largest [rad
 
 def draw_reference(rng, motion, plant, time):
     """
-    Return a reference for two joints.
+    Return a reference (T, 5, 2) for two joints, at rest at the start, at ``time`` (T,) [s].
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    motion : {'rich', 'sinusoid', 'polynomial', 'slow'}
-        Tones, moves of many speeds and slow reversals one after the other; the paper's; or slow
-        moves and creeping reversals with rests between them.
-    plant : {'soft', 'stiff'}
-        A soft robot is moved more gently.
-    time : ndarray, shape (T,)
-        Sample times [s].
-
-    Returns
-    -------
-    ndarray, shape (T, 5, 2)
-        Angle and derivatives, at rest at the start.
-
+    'rich' is tones, moves of many speeds and slow reversals one after the other, 'sinusoid' and
+    'polynomial' are the paper's, 'slow' is slow moves and creeping reversals with rests between
+    them. A 'soft' plant is moved more gently than a 'stiff' one.
     """
     if motion == 'sinusoid':
         return builders.sinusoid(rng.uniform(0.7, 1.2, 2), rng.uniform(4.5, 7.0, 2)).sample(time)
@@ -56,25 +42,10 @@ _CREEPING, _TRAVELLING, _STROKE, _REST = (0.005, 0.1), (0.05, 0.6), (2.0, 5.0), 
 
 def tones(rng, start, duration, band, reach, acceleration, count):
     """
-    Return sinusoids that fade in and out together.
+    Return ``count`` sinusoids (Trajectory) for each joint that fade in and out together.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    start, duration : float
-        When they sound [s].
-    band : tuple of float
-        Lowest and highest frequency [Hz].
-    reach, acceleration : float
-        Sum of the amplitudes at most [rad], and of their accelerations [rad/s^2].
-    count : int
-        How many for each joint.
-
-    Returns
-    -------
-    list of Trajectory
-
+    From ``start`` for ``duration`` [s], of frequencies within ``band`` [Hz]; ``reach`` [rad] and
+    ``acceleration`` [rad/s^2] bound the sums of their amplitudes and accelerations.
     """
     fade = min(2.0, 0.25 * duration)
     reach = min(reach, acceleration * fade ** 2 / _STEEPEST)

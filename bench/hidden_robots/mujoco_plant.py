@@ -29,25 +29,9 @@ def available():
 
 def mjcf(arm, timestep):
     """
-    Return links and motors as MuJoCo's XML.
+    Return links and motors as MuJoCo's XML (str): the links' angles first, then the motors'.
 
-    Parameters
-    ----------
-    arm : ArmParams
-        A chain in a plane with flexible joints.
-    timestep : float
-        [s].
-
-    Returns
-    -------
-    str
-        Coordinates are the links' angles, then the motors'.
-
-    Raises
-    ------
-    ConfigError
-        If the arm is no such chain.
-
+    ConfigError if the arm is no chain in a plane with flexible joints; ``timestep`` in s.
     """
     if arm.kind != 'planar' or arm.rigid.any():
         raise ConfigError('MuJoCo takes the place of a planar arm with flexible joints only, '

@@ -29,22 +29,11 @@ _FAILURES = (GmsFlexError, ArithmeticError, LookupError, ValueError)
 
 def try_job(job, with_peers=True):
     """
-    Draw a hidden robot and ask the workflow, and its peers, what is hidden.
+    Draw a hidden robot and ask the workflow, and its peers if wanted, what is hidden.
 
-    Parameters
-    ----------
-    job : Job
-        Which one.
-    with_peers : bool
-        Whether the peers are asked as well.
-
-    Returns
-    -------
-    dict
-        ``key``, ``truth``, ``answers`` (tool -> list of [effect, joint]), ``verdict``,
-        ``findings``, ``models``, ``noise``, ``gap``, ``seconds``, ``megabytes``; ``error`` where
-        the workflow failed; ``truth_gains`` of a missed single effect, see `gain_of_truth`.
-
+    Return ``key``, ``truth``, ``answers`` (tool -> list of [effect, joint]), ``verdict``,
+    ``findings``, ``models``, ``noise``, ``gap``, ``seconds``, ``megabytes``; ``error`` where the
+    workflow failed; ``truth_gains`` of a missed single effect, see `gain_of_truth` (dict).
     """
     case = make_case(job.kind, job.seed, population=job.population, plant=job.plant,
                      duration=job.duration)

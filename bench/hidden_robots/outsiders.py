@@ -14,22 +14,9 @@ NAMES = outside.NAMES[1:]
 
 def draw_values(rng, name, k):
     """
-    Return the numbers of a disturbance of 15 to 60 % of the joint's friction.
+    Return the numbers of a disturbance of 15 to 60 % of the joint's friction, torque first.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    name : str
-        One of `NAMES`.
-    k : Figures
-        Of its joint.
-
-    Returns
-    -------
-    tuple of float
-        Torque (of a friction step: ratio) first.
-
+    ``k`` are the Figures of its joint; of a friction step the first is a ratio.
     """
     size = between(rng, 0.15, 0.6) * k.static
     place = float(rng.uniform(0.6 * k.lowest, 0.6 * k.highest))
@@ -50,25 +37,7 @@ def draw_values(rng, name, k):
 
 
 def draw_course(rng, name, samples, period):
-    """
-    Return the random course (T,) of a disturbance, of about unit size; zeros if it has none.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    name : str
-        One of `NAMES`.
-    samples : int
-        Length T.
-    period : float
-        Sample [s].
-
-    Returns
-    -------
-    ndarray, shape (T,)
-
-    """
+    """Return the random course (samples,) of a disturbance, of about unit size; or zeros."""
     course = np.zeros(samples)
     if name.startswith('random'):
         forget = np.exp(-2.0 * np.pi * between(rng, 0.5, 5.0) * period)

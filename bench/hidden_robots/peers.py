@@ -33,20 +33,10 @@ def names():
 
 def ask(case, without=()):
     """
-    Return what the peers name in a case.
+    Return what the peers name in a Case, the strongest first: peer -> [(effect, joint), ...].
 
-    Parameters
-    ----------
-    case : Case
-        From cases.
-    without : sequence of str
-        Effects that are left out of the library.
-
-    Returns
-    -------
-    dict of str to list of (effect, joint)
-        By peer, the strongest first; without PySINDy only the forward selection.
-
+    Effects ``without`` are left out of the library; without PySINDy only the forward selection
+    answers.
     """
     names, groups, triangle, target = library_of(case, without)
     answers = {FORWARD: forward(names, groups, triangle, target)}
@@ -59,17 +49,9 @@ def library_of(case, without):
     """
     Return the regression problem, rows reduced to as many as columns.
 
-    Returns
-    -------
-    names : list of (effect, joint)
-        One for each guess.
-    groups : list of slice
-        Columns of each guess.
-    triangle : ndarray, shape (C + 1, C)
-        Columns scaled to unit length, what the known parameters explain taken out.
-    target : ndarray, shape (C + 1,)
-        The residual scaled likewise.
-
+    Names (effect, joint) of the guesses, their columns (slices), the triangle (C + 1, C) of
+    columns scaled to unit length, what the known parameters explain taken out, and the residual
+    likewise.
     """
     from gms_flex_control.discrepancy.dictionary import Dictionary
     from gms_flex_control.discrepancy.fitting import retuned
@@ -93,19 +75,7 @@ def library_of(case, without):
 
 
 def forward(names, groups, columns, target):
-    """
-    Return the effects that forward selection by R^2 takes, in its order.
-
-    Parameters
-    ----------
-    names, groups, columns, target
-        Of `library_of`.
-
-    Returns
-    -------
-    list of (effect, joint)
-
-    """
+    """Return the (effect, joint) that forward selection by R^2 takes, in its order."""
     taken, left, columns = [], target.copy(), columns.copy()
     while len(taken) < _MOST:
         gains = [gain_of(columns[:, group], left) for group in groups]
@@ -133,19 +103,7 @@ def gain_of(columns, left):
 
 
 def sparse(names, groups, columns, target):
-    """
-    Return the effects that PySINDy's thresholded least squares keeps, the largest first.
-
-    Parameters
-    ----------
-    names, groups, columns, target
-        Of `library_of`.
-
-    Returns
-    -------
-    list of (effect, joint)
-
-    """
+    """Return the (effect, joint) that PySINDy's thresholded least squares keeps, largest first."""
     from pysindy import STLSQ
     fit = STLSQ(threshold=_THRESHOLD, alpha=_RIDGE).fit(columns, target[:, None])
     weight = np.abs(np.ravel(fit.coef_))

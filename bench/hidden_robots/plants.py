@@ -51,17 +51,7 @@ def draw_robot(rng, plant):
     """
     Return a true robot without effects, and gains that suit it.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    plant : {'soft', 'stiff'}
-        Joint stiffness about 1 to 1.5, or about 30 N m/rad.
-
-    Returns
-    -------
-    RobotParams, ControllerParams
-
+    Joint stiffness is about 1 to 1.5 ('soft'), or about 30 N m/rad ('stiff').
     """
     mass, length = about(rng, [2.3, 1.0]), about(rng, [0.35, 0.30], 0.15)
     com = length * rng.uniform(0.45, 0.7, 2)
@@ -88,21 +78,7 @@ def under_gravity(rng, robot, gains):
     Return a robot whose plane is tilted, as far as its springs bear it, and its gains.
 
     Its first joint reads 0 at any angle from the horizontal; gravity itself is along -y, as robot
-    files state it.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    robot : RobotParams
-        Two joints in a plane.
-    gains : ControllerParams
-        With the torque that motion takes; the weight is added.
-
-    Returns
-    -------
-    RobotParams, ControllerParams
-
+    files state it. The weight is added to the torque limit of ``gains``.
     """
     arm = robot.arm
     heaviest = np.cumsum(mass_moments(arm)[::-1])[::-1]  # stretched out across gravity
@@ -116,20 +92,9 @@ def under_gravity(rng, robot, gains):
 
 def draw_supply(rng, time):
     """
-    Return the voltage of a supply that others use as well, true and as measured.
+    Return the voltage (T,) of a supply that others use as well, true and as measured.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    time : ndarray, shape (T,)
-        Sample times [s].
-
-    Returns
-    -------
-    true, measured : ndarray, shape (T,)
-        Falling by up to 1 V, with others switching another volt, noise of 10 mV [V].
-
+    Falling by up to 1 V, with others switching another volt, noise of 10 mV [V].
     """
     turns = np.sort(rng.uniform(0.0, time[-1], max(int(time[-1] / 4.0), 1)))
     switched = np.searchsorted(turns, time) % 2 * rng.uniform(0.5, 1.5)
@@ -149,22 +114,11 @@ def carried_masses(arm):
 
 def with_base_parameters(arm, factors):
     """
-    Return a chain of two links whose base parameters are scaled.
+    Return a chain of two links in a plane, same masses and lengths, base parameters scaled.
 
-    Parameters
-    ----------
-    arm : ArmParams
-        Two joints in a plane.
-    factors : ndarray, shape (4,)
-        Of the inertia of link 1 with the mass it carries, of the coupling l1 m2 c2, of the
-        inertia of link 2 about its joint, and of the mass moment of link 1 with the mass it
-        carries.
-
-    Returns
-    -------
-    ArmParams
-        With the same masses and lengths.
-
+    ``factors`` (4,) are of the inertia of link 1 with the mass it carries, of the coupling l1 m2
+    c2, of the inertia of link 2 about its joint, and of the mass moment of link 1 with the mass it
+    carries.
     """
     carried = arm.mass[1] * arm.length[0] ** 2
     about_joint = arm.inertia + arm.mass * arm.com ** 2
@@ -195,22 +149,10 @@ def uniform_errors(rng, low=0.01, high=0.03):
 
 def draw_belief(rng, robot, errors=uniform_errors):
     """
-    Return the robot as its user believes it to be.
+    Return the robot, without its effects, as its user believes it to be.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    robot : RobotParams
-        The truth; its effects are not believed in.
-    errors : callable
-        Of ``rng``, returns a function that draws the relative errors of a kind of parameters;
-        by default each is 1 to 3 % off.
-
-    Returns
-    -------
-    RobotParams
-
+    ``errors`` returns, given ``rng``, a function that draws the relative errors of a kind of
+    parameters; by default each is 1 to 3 % off.
     """
     drawn = errors(rng)
 

@@ -35,54 +35,25 @@ def gaussian_errors(rng):
 
 @dataclass(frozen=True, kw_only=True)
 class Population:
-    """
-    What is particular about the robots of a population; the defaults are those of 'home'.
+    """What is particular about the robots of a population; the defaults are those of 'home'."""
 
-    Parameters
-    ----------
-    beliefs : callable or None
-        What is believed, as `plants.draw_belief` takes it; None as at home, 1 to 3 % off.
-    noise : float
-        Torque that the drives add, held over a sample, and that nobody records: standard
-        deviation as a part of F_s of its joint.
-    coloured : bool
-        Whether the noise is of first order, with a corner in `CORNERS`, or white.
-    counts : int or None
-        Of the encoders per revolution; None: drawn from `plants.COUNTS`.
-    velocity_cutoff : float
-        Of the low-pass on the differenced angles [Hz].
-    links_seen : bool
-        Whether links have encoders that are recorded.
-    gravity : bool
-        Whether the plane is tilted, as far as the robot's springs bear it.
-    rate : float
-        Of control and recording [Hz].
-    softness : float
-        Times the gains of the motor law, so that the loop is stable.
-    motion : str
-        One of `motions.MOTIONS`.
-    drive : callable
-        Controller and integrator, see `truth.simulate`.
-    without : tuple of str
-        Effects that these robots cannot have.
-    tuning : bool
-        Whether the workflow may be tuned with it; the others are for reporting.
-
-    """
-
+    # what is believed, as `plants.draw_belief` takes it; None as at home, 1 to 3 % off
     beliefs: Callable | None = None
+    # torque that the drives add, held over a sample, and that nobody records: standard deviation
+    # as a part of F_s of its joint
     noise: float = 0.0
+    # whether the noise is of first order, with a corner in `CORNERS`, or white
     coloured: bool = False
-    counts: int | None = None
-    velocity_cutoff: float = 50.0
-    links_seen: bool = True
-    gravity: bool = False
-    rate: float = 500.0
-    softness: float = 1.0
-    motion: str = 'rich'
-    drive: Callable = truth.under_cascade
-    without: tuple = ()
-    tuning: bool = False
+    counts: int | None = None  # of the encoders per revolution; None: drawn from `plants.COUNTS`
+    velocity_cutoff: float = 50.0  # of the low-pass on the differenced angles [Hz]
+    links_seen: bool = True  # whether links have encoders that are recorded
+    gravity: bool = False  # whether the plane is tilted, as far as the robot's springs bear it
+    rate: float = 500.0  # of control and recording [Hz]
+    softness: float = 1.0  # times the gains of the motor law, so that the loop is stable
+    motion: str = 'rich'  # one of `motions.MOTIONS`
+    drive: Callable = truth.under_cascade  # controller and integrator, see `truth.simulate`
+    without: tuple = ()  # effects that these robots cannot have
+    tuning: bool = False  # whether the workflow may be tuned with it; the others are for reporting
 
 
 _noisy = partial(Population, beliefs=gaussian_errors)
@@ -114,22 +85,8 @@ class Drives:
     """
     The torque noise of a robot's drives.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    population : Population
-        How much noise there is.
-    robot : RobotParams
-        The true robot.
-
-    Attributes
-    ----------
-    deviation : ndarray, shape (n_joints,)
-        Standard deviation of the torque of a sample [N m].
-    corner : ndarray, shape (n_joints,)
-        Frequency above which there is less [Hz]; inf of white noise.
-
+    ``deviation`` (n_joints,) is the standard deviation of the torque of a sample [N m], ``corner``
+    (n_joints,) the frequency above which there is less [Hz], inf of white noise.
     """
 
     def __init__(self, rng, population, robot):
@@ -151,21 +108,11 @@ class Drives:
 
 def belief_errors(robot, believed):
     """
-    Return how far a robot is from what is believed of it.
+    Return how far a robot of two joints in a plane is from what is believed, (n_joints,) each.
 
-    Parameters
-    ----------
-    robot, believed : RobotParams
-        The truth, its effects left out, and the belief; two joints in a plane.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (n_joints,)
-        Relative, truth / belief - 1, as effects of the catalogue state it. ``link_inertia`` is
-        that of a link about its joint with the mass it carries, ``coupling`` that of both links
-        together; friction is the mean of both directions, and an ``asymmetry`` half their
-        difference.
-
+    Relative, truth / belief - 1, as effects of the catalogue state it, by kind. ``link_inertia``
+    is that of a link about its joint with the mass it carries, ``coupling`` that of both links
+    together; friction is the mean of both directions, and an ``asymmetry`` half their difference.
     """
     arm, steady = robot.arm, robot.friction
     other, thought = believed.arm, believed.friction

@@ -151,19 +151,7 @@ def tools_of(outcomes):
 
 
 def table(outcomes):
-    """
-    Return the table of figures, workflow and peers side by side.
-
-    Parameters
-    ----------
-    outcomes : sequence of dict
-        Of `outcome.try_job`.
-
-    Returns
-    -------
-    str
-
-    """
+    """Return the table of figures (str) of outcomes, workflow and peers side by side."""
     tools = tools_of(outcomes)
     peers = {tool: figures.peer_figures(outcomes, tool) for tool in tools[1:]}
     rows = [['figure', *tools, 'required', 'cases', '']]

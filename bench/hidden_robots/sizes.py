@@ -50,23 +50,7 @@ def rms(signal):
 
 
 def figures_of(robot, motion, period):
-    """
-    Return the figures of each joint in a run.
-
-    Parameters
-    ----------
-    robot : RobotParams
-        Without effects.
-    motion : Motion
-        Its run, see truth.
-    period : float
-        Sample [s].
-
-    Returns
-    -------
-    list of Figures
-
-    """
+    """Return the Figures of each joint in the run (Motion) of a robot without effects."""
     arm, friction = robot.arm, robot.friction
     q, v, q_motor, v_motor = np.moveaxis(motion.true, 1, 0)
     torsion, a = q_motor - q, np.gradient(v, period, axis=0)
@@ -217,17 +201,7 @@ def spec(name, joint, joints, given):
 
 
 class Torques:
-    """
-    What effects make of a run.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of the robot without effects.
-    robot : RobotParams
-        That robot.
-
-    """
+    """What effects make of the Recording of a robot without effects."""
 
     def __init__(self, recording, robot):
         self._robot, self._motion = robot, motion_of(recording, robot)

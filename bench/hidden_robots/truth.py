@@ -118,43 +118,13 @@ def under_pid(robot, model, gains, reference, period, scene, angles, torques):
 def simulate(robot, model, gains, reference, *, period=2e-3, seed=0, disturbance=None,
              supply=None, noise=None, drive=under_cascade):
     """
-    Simulate a robot under its controller.
+    Return the Motion of a robot under its controller; it starts at rest at its first reference.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        As it is, effects included: two joints in a plane, or decoupled ones.
-    model : RobotParams
-        As the controller believes it to be.
-    gains : ControllerParams
-        Of the controller.
-    reference : ndarray, shape (T, 5, n_joints)
-        Desired link angle and derivatives; the robot starts at rest at its first row.
-    period : float
-        Sample [s].
-    seed : int
-        Of the encoder noise.
-    disturbance : Disturbance, optional
-        From outside the catalogue.
-    supply : ndarray, shape (T,), optional
-        Voltage over each sample [V]; not known by default.
-    noise : ndarray, shape (T, n_joints), optional
-        Torque the drives add to that of their motors over each sample [N m].
-    drive : callable
-        Which controller and integrator: `under_cascade`, `under_pid` or
-        `mujoco_plant.under_cascade`.
-
-    Returns
-    -------
-    Motion
-
-    Raises
-    ------
-    SimulationError
-        If the loop diverges; the sentence says when.
-    ConfigError
-        If the robot is none that ``drive`` can move.
-
+    ``model`` is the robot as the controller believes it to be, ``reference`` (T, 5, n_joints),
+    ``period`` [s] a sample, ``disturbance`` one from outside the catalogue; ``supply`` (T,) is the
+    voltage over each sample [V], ``noise`` (T, n_joints) torque the drives add [N m]. ``drive`` is
+    `under_cascade`, `under_pid` or `mujoco_plant.under_cascade`. SimulationError if the loop
+    diverges, ConfigError if ``drive`` cannot move the robot.
     """
     samples, n = len(reference), robot.n_joints
     angles, torques = np.empty((samples, 8, n)), np.empty((samples, 4, n))
@@ -176,26 +146,10 @@ def simulate(robot, model, gains, reference, *, period=2e-3, seed=0, disturbance
 def simulate_open(robot, command, *, period=2e-3, substeps=None, state=None,
                   disturbance=None):
     """
-    Simulate a robot under given torques.
+    Return the true states (T + 1, 4, n_joints) of a robot under torques held over a sample.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        As it is.
-    command : ndarray, shape (T, n_joints)
-        Torque held over each sample [N m].
-    period, disturbance
-        As `simulate`.
-    substeps : int, optional
-        Integration steps in a sample; by default steps of `STEP`.
-    state : numpy.record, optional
-        Start; default at rest at zero.
-
-    Returns
-    -------
-    ndarray, shape (T + 1, 4, n_joints)
-        True q_link, dq_link, q_motor, dq_motor.
-
+    q_link, dq_link, q_motor, dq_motor from ``state``, by default at rest at zero, for ``command``
+    (T, n_joints) [N m], in ``substeps`` of a sample, by default of `STEP`.
     """
     command = np.ascontiguousarray(command, dtype=float)
     states = np.empty((len(command) + 1, 4, robot.n_joints))

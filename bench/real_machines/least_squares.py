@@ -35,27 +35,14 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """
-    Weights of columns.
+    """Weights of columns."""
 
-    Parameters
-    ----------
-    columns : tuple of Column
-        C of them.
-    weights : ndarray, shape (C,)
-        Torque per unit of the column.
-    delay : float
-        By which the torque's part lags behind the motion; negative where it leads it, as a
-        torque does that takes effect late [s].
-    band : float
-        Of the low-pass [Hz].
-
-    """
-
-    columns: tuple
-    weights: np.ndarray
+    columns: tuple  # C of them
+    weights: np.ndarray  # (C,), torque per unit of the column
+    # by which the torque's part lags behind the motion; negative where it leads it, as a torque
+    # does that takes effect late [s]
     delay: float
-    band: float
+    band: float  # of the low-pass [Hz]
 
     def weight(self, name):
         """Return the weight of a column by its name."""
@@ -78,19 +65,7 @@ class Fit:
 
 
 class Delayed:
-    """
-    Columns of a Motion behind the low-pass, at any delay.
-
-    Parameters
-    ----------
-    columns : sequence of Column
-        C of them.
-    motion : Motion
-        What they are functions of.
-    band : float
-        Of the low-pass [Hz].
-
-    """
+    """Columns of a Motion behind a low-pass of a ``band`` [Hz], at any delay."""
 
     def __init__(self, columns, motion, band):
         values = np.stack([column.along(motion) for column in columns], axis=1)
@@ -109,19 +84,7 @@ class Squares:
     """
     Inner products of columns and torque, for each delay and fold of the data.
 
-    Parameters
-    ----------
-    columns : sequence of Column
-        C of them.
-    parts : sequence of Part
-        The data that are fitted.
-    band : float
-        Of the low-pass [Hz].
-    delays : sequence of float
-        D delays [s].
-    folds : int
-        Into how many pieces each part is cut.
-
+    ``band`` of the low-pass [Hz], ``delays`` [s]; each of ``parts`` is cut into ``folds`` pieces.
     """
 
     def __init__(self, columns, parts, band, delays=NO_DELAY, folds=1):
@@ -183,23 +146,7 @@ class Squares:
 
 
 def textbook(parts, band, gravity):
-    """
-    Fit inertia, Coulomb and viscous friction, an offset, and gravity if there is any.
-
-    Parameters
-    ----------
-    parts : sequence of Part
-        The data that are fitted.
-    band : float
-        Of the low-pass [Hz].
-    gravity : bool
-        Whether it acts on the axis.
-
-    Returns
-    -------
-    Fit
-
-    """
+    """Return the Fit of inertia, Coulomb and viscous friction, an offset, and gravity if any."""
     return Squares(library.textbook(gravity), parts, band).fitted()
 
 
@@ -216,19 +163,8 @@ def compared(parts, band, gravity, loaded):
     """
     Fit the textbook model, the library and what of the library the data ask for.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-        The data that are fitted.
-    band : float
-        Of the low-pass [Hz].
-    gravity, loaded : bool
-        Whether gravity acts, and whether the load changes.
-
-    Returns
-    -------
-    Compared
-
+    ``band`` of the low-pass [Hz]; whether ``gravity`` acts and whether the load changes. Return
+    them as Compared.
     """
     plain = textbook(parts, band, gravity)
     more = library.further(parts, plain if loaded else None)

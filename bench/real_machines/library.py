@@ -52,19 +52,9 @@ def textbook(gravity):
 
 def further(parts, plain=None):
     """
-    Return the columns beyond the textbook's, ripple left out.
+    Return the Columns beyond the textbook's, ripple left out.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-        The data that are fitted: they tell travel and speed.
-    plain : Fit, optional
-        Of the textbook's columns, which tells the load; default: the load is constant.
-
-    Returns
-    -------
-    tuple of Column
-
+    The Fit ``plain`` of the textbook's columns tells the load; without it the load is constant.
     """
     travel = max(float(np.ptp(m.angle[mask])) for m, mask in parts)
     top = max(peak(m) for m, _ in parts)
@@ -139,22 +129,10 @@ def elasto_plastic(angle, reach):
 
 def ripple_orders(parts, residuals, band):
     """
-    Return the spatial orders at which the spectrum of a residual over the angle is largest.
+    Return the `WAVES` orders [1/rad] at which a residual's spectrum over the angle is largest.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-        The data that are fitted.
-    residuals : sequence of ndarray, shape (S,)
-        Of each part [N m].
-    band : float
-        Of the low-pass [Hz]: at the usual speed, finer ripple does not pass it.
-
-    Returns
-    -------
-    tuple of float
-        At most `WAVES` [1/rad].
-
+    ``residuals`` (S,) of each part [N m] are behind a low-pass of a ``band`` [Hz]: at the usual
+    speed, finer ripple does not pass it.
     """
     span = max(float(np.ptp(m.angle[mask])) for m, mask in parts)
     speed = rms(np.concatenate([m.rate[mask] for m, mask in parts]))

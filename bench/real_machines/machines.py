@@ -45,53 +45,26 @@ class Known(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Machine:
-    """
-    One axis of a machine.
+    """One axis of a machine."""
 
-    Parameters
-    ----------
-    name, title : str
-        For commands and for people.
-    folder : str
-        Of the recordings, in the shared data.
-    import_map : Path
-        What their columns are.
-    joint : str
-        Which joint of them.
-    belief : str
-        File in robots/ that says what is known beforehand; '' if nothing: a rigid axis.
-    estimate : {'friction', 'all'}
-        What identification finds; 'all' is inertia and gravity as well.
-    gravity, loaded : bool
-        Whether gravity acts on the axis, and whether its load changes.
-    unit, factor : str, float
-        In which torques are told, and by what they are multiplied for it.
-    length : tuple of (str, float)
-        Likewise of angles in free runs.
-    wide : float
-        A second, higher band in which least squares and models are compared [Hz]; 0 for none.
-    known : tuple of Known
-        What is published of it.
-    splits : tuple of Split
-        What is fitted and what is held out.
-
-    """
-
-    name: str
-    title: str
-    folder: str
-    import_map: Path
-    joint: str
-    splits: tuple
+    name: str  # for commands
+    title: str  # for people
+    folder: str  # of the recordings, in the shared data
+    import_map: Path  # what their columns are
+    joint: str  # which joint of them
+    splits: tuple  # what is fitted and what is held out
+    # file in robots/ that says what is known beforehand; '' if nothing: a rigid axis
     belief: str = ''
+    # what identification finds, 'friction' or 'all': inertia and gravity as well
     estimate: str = 'all'
-    gravity: bool = False
-    loaded: bool = False
-    unit: str = 'N m'
-    factor: float = 1.0
-    length: tuple = ('mrad', 1e3)
+    gravity: bool = False  # whether it acts on the axis
+    loaded: bool = False  # whether the load of the axis changes
+    unit: str = 'N m'  # in which torques are told
+    factor: float = 1.0  # by which they are multiplied for it
+    length: tuple = ('mrad', 1e3)  # likewise of angles in free runs
+    # a second, higher band in which least squares and models are compared [Hz]; 0 for none
     wide: float = 0.0
-    known: tuple = ()
+    known: tuple = ()  # what is published of it
 
     @property
     def bands(self):

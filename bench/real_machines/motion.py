@@ -24,36 +24,20 @@ _DRIVEN = 0     # the axis; recordings are of one joint
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """
-    The measured motion of one axis.
+    """The measured motion of one axis."""
 
-    Parameters
-    ----------
-    time, period : ndarray, shape (S,), and float
-        Evenly spaced [s].
-    angle, rate : ndarray, shape (S,)
-        Of the side the drive acts on, smoothed [rad, rad/s].
-    acceleration, torque : ndarray, shape (S,)
-        From second differences of the readings, and the torque held meanwhile, both behind one
-        filter [rad/s^2, N m].
-    standing : ndarray, shape (S,)
-        Whether the encoder saw nothing move for a fifth of a second, bool.
-    weight : float
-        On both neighbours: what that filter does to a function of the motion.
-    source : str
-        The recording.
-
-    """
-
-    time: np.ndarray
-    period: float
-    angle: np.ndarray
-    rate: np.ndarray
+    time: np.ndarray  # (S,), evenly spaced [s]
+    period: float  # [s]
+    angle: np.ndarray  # (S,), of the side the drive acts on, smoothed [rad]
+    rate: np.ndarray  # (S,), likewise [rad/s]
+    # (S,), from second differences of the readings [rad/s^2], and the torque held meanwhile [N m],
+    # both behind one filter
     acceleration: np.ndarray
     torque: np.ndarray
+    # (S,), whether the encoder saw nothing move for a fifth of a second, bool
     standing: np.ndarray
-    weight: float
-    source: str
+    weight: float  # on both neighbours: what that filter does to a function of the motion
+    source: str  # the recording
 
     def filtered(self, column):
         """Return a function of the motion (S,) as the filter of the torque shows it."""
@@ -82,21 +66,7 @@ def driven_side(recording):
 
 
 def motion_of(recording, fine=False):
-    """
-    Return the Motion of a recording of one joint.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of one joint.
-    fine : bool
-        At every sample of the recording instead of every 4 ms.
-
-    Returns
-    -------
-    Motion
-
-    """
+    """Return the Motion of a recording of one joint, every 4 ms or, ``fine``, at every sample."""
     full = _measured(driven_side(recording), rigid_joints(recording.joints), fine)
     return Motion(
         time=full.time - full.time[0], period=full.period, angle=full.states[:, 0, _DRIVEN],
@@ -107,24 +77,11 @@ def motion_of(recording, fine=False):
 
 def residual_torque(recording, robot, fine=False):
     """
-    Return the torque that a model leaves unexplained along the measured motion.
+    Return what a model leaves of the drive's torque (S,) [N m] at the times of `motion_of`.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of the robot's one joint.
-    robot : RobotParams
-        The model.
-    fine : bool
-        As `motion_of`.
-
-    Returns
-    -------
-    ndarray, shape (S,)
-        Measured less modelled torque of the drive [N m], at the times of `motion_of`. Of a
-        flexible joint the sum of both equations, in which its spring has no part. In torque as
-        measured: a model that has the drive's gain smaller misses no less for it.
-
+    Measured less modelled. Of a flexible joint the sum of both equations, in which its spring has
+    no part. In torque as measured: a model that has the drive's gain smaller misses no less for
+    it.
     """
     missing = unexplained(_measured(recording, robot, fine), constants_of(robot))
     gain = 1.0 + sum(spec.values[0] for spec in robot.effects if spec.name == _GAIN)

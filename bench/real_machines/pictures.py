@@ -24,17 +24,7 @@ _LABELS = {'identified': 'identified', 'library': 'least squares (b)', 'final': 
 
 
 def draw(outcome, path):
-    """
-    Draw the residual torque of an Outcome.
-
-    Parameters
-    ----------
-    outcome : Outcome
-        With what is to be shown.
-    path : Path
-        PNG that is written.
-
-    """
+    """Draw the residual torque of an Outcome as PNG."""
     machine, shown = MACHINES[outcome.machine], outcome.pictured
     figure = Figure(figsize=(9.0, 2.8), layout='constrained')
     over_time, over_other = figure.subplots(1, 2, width_ratios=(2, 1))

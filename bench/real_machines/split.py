@@ -68,23 +68,7 @@ class Outcome:
 
 
 def try_split(machine, split, say=lambda text: None):
-    """
-    Run one split.
-
-    Parameters
-    ----------
-    machine : Machine
-        Its files are there.
-    split : Split
-        Of this machine.
-    say : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    Outcome
-
-    """
+    """Run one Split of a Machine, whose files are there; return its Outcome."""
     fitted, held_out = ([machine.recording(piece) for piece in pieces]
                         for pieces in (split.fitted, split.held_out))
     say('least squares')

@@ -22,13 +22,7 @@ def rows(outcomes, most=None):
     """
     Return the table (list of lists of str), its head first.
 
-    Parameters
-    ----------
-    outcomes : sequence of Outcome
-        What was run.
-    most : int, optional
-        Rows of each split, one per band, the lowest first; by default all of them.
-
+    With at ``most`` so many rows of each split, one per band, the lowest first; by default all.
     """
     table = [list(_HEAD)]
     for outcome in outcomes:
@@ -97,17 +91,8 @@ def into_document(path, outcomes, skipped, pictures):
     """
     Write the results between the markers of a document, of each split in its lowest band.
 
-    Parameters
-    ----------
-    path : Path
-        The document; its markers stand on lines of their own.
-    outcomes : sequence of Outcome
-        All that was run.
-    skipped : sequence of str
-        A line for each machine that was not.
-    pictures : sequence of (str, str)
-        Title and file name in images/.
-
+    ``skipped`` is a line for each machine that was not run, ``pictures`` title and file name in
+    images/.
     """
     lines = [*remarks(outcomes), *(f'- {line}' for line in skipped)]
     table = [[row[0], *row[2:]] for row in rows(outcomes, most=1)]  # without the band

@@ -29,23 +29,10 @@ def nothing(_):
 
 def measure(robot, gains, quick=False):
     """
-    Time items that do nothing, in processes and on a Dask cluster of this machine.
+    Time items that do nothing, in processes and on a Dask cluster where it is installed.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        Part of every item, as in gms_flex compare.
-    gains : ControllerParams
-        Likewise.
-    quick : bool
-        Fewer items.
-
-    Returns
-    -------
-    list of Measurement
-        Without Dask's where it is not installed. Processor time is that of all processes, so
-        it holds on a busy machine too.
-
+    Robot and gains are part of every item, as in gms_flex compare; ``quick`` takes fewer items.
+    Processor time is that of all processes, so it holds on a busy machine too.
     """
     count = 200 if quick else 1000
     cell = Cell(Setting(robot, gains, np.ones(robot.n_joints), 500.0, 0, 0), 'gms',

@@ -54,17 +54,8 @@ class Pacer(Node):
     """
     Publish joint states of a robot at rest, and measure when each is answered.
 
-    Parameters
-    ----------
-    rate : float
-        Joint states per second [Hz].
-    duration : float
-        What is measured [s].
-    path : str
-        File for the timing, see LoopTiming.
-    service : str
-        That enables torque; '' where everything is answered.
-
+    At a ``rate`` [Hz] for ``duration`` [s], into the file ``path``, see LoopTiming; ``service``
+    enables torque, '' where everything is answered.
     """
 
     def __init__(self, rate, duration, path, service=''):

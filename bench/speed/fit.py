@@ -89,22 +89,8 @@ def simulated(robot, gains, values, rate):
     """
     Simulate an experiment on the last joint of a robot, as an axis of its own.
 
-    Parameters
-    ----------
-    robot, gains : RobotParams, ControllerParams
-        The robot and its controller.
-    values : dict of str to object
-        ``identification.*`` parameters.
-    rate : float
-        Samples per second [Hz].
-
-    Returns
-    -------
-    axis : RobotParams
-        The single axis.
-    bundle : Bundle
-        Its data.
-
+    With ``values`` (dict) of ``identification.*`` parameters at a ``rate`` [Hz]; return the axis
+    and its Bundle.
     """
     j = robot.n_joints - 1
     axis, own = single_axis(robot, j), single(gains, j)
@@ -171,21 +157,10 @@ def fit_everything(bundle, axis):
 
 def compare(case, budget, repeats):
     """
-    Time a fit, and Nelder-Mead over plain numpy from the same start on the same cost.
+    Return Measurements of a fit, and of Nelder-Mead over plain numpy from the same start.
 
-    Parameters
-    ----------
-    case : Comparison
-        What is fitted.
-    budget : float
-        Of the reference, unless it reaches the same cost before [s].
-    repeats : int
-        Of our fit; the median counts.
-
-    Returns
-    -------
-    list of Measurement
-
+    On the same cost; ``budget`` is that of the reference, unless it reaches the same cost before
+    [s]. The median of ``repeats`` of our fit counts.
     """
     free, times = case.ours(), []
     for _ in range(repeats):
@@ -228,21 +203,7 @@ def _rows(case, found, cost, seconds, first, data, end, target):
 
 
 def measure_fit(robot, gains, quick=False):
-    """
-    Time the presliding fit and the full fit of one joint beside the plain way.
-
-    Parameters
-    ----------
-    robot, gains : RobotParams, ControllerParams
-        The robot and its controller.
-    quick : bool
-        Give the reference a few seconds only.
-
-    Returns
-    -------
-    list of Measurement
-
-    """
+    """Time the presliding fit and the full fit of one joint beside the plain way."""
     found = []
     for values, make, budget, rate in zip(
             (_PRESLIDING, _FULL), (fit_presliding, fit_everything), _BUDGETS, _RATES,
@@ -254,21 +215,7 @@ def measure_fit(robot, gains, quick=False):
 
 
 def measure_identification(robot, gains, quick=False):
-    """
-    Identify a simulated bag by the command in a process of its own.
-
-    Parameters
-    ----------
-    robot, gains : RobotParams, ControllerParams
-        The robot and its controller.
-    quick : bool
-        A short bag, without targets.
-
-    Returns
-    -------
-    list of Measurement
-
-    """
+    """Identify a simulated bag by the command in a process of its own; ``quick``: a short bag."""
     plan = read_identification_plan([share_path() / 'config' / 'identification.yaml'], robot,
                                     gains, overrides=_SHORT_BAG if quick else _TEN_MINUTES)
     with tempfile.TemporaryDirectory() as folder:
@@ -290,26 +237,10 @@ def measure_identification(robot, gains, quick=False):
 
 def identified(bag, folder):
     """
-    Run the command on a bag.
+    Run the command on a bag, with robot.yaml in ``folder``; results go to ``out`` in it.
 
-    Parameters
-    ----------
-    bag : Path
-        The bag.
-    folder : Path
-        With robot.yaml; results go to ``out`` in it.
-
-    Returns
-    -------
-    seconds, processor, memory : float
-        Wall time [s], processor time of all threads [s], and the largest resident memory [bytes]
-        (Linux).
-
-    Raises
-    ------
-    GmsFlexError
-        If the command fails.
-
+    Return wall time [s], processor time of all threads [s], and the largest resident memory
+    [bytes] (Linux). GmsFlexError if it fails.
     """
     command = [*executable('gms_flex'), 'identify', str(bag), '--robot',
                str(folder / 'robot.yaml'), '--out', str(folder / 'out')]

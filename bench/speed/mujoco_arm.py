@@ -21,26 +21,7 @@ def available():
 
 
 def mjcf(robot, timestep):
-    """
-    Return the model as MuJoCo's XML.
-
-    Parameters
-    ----------
-    robot : RobotParams
-        A planar chain; all of its joints flexible.
-    timestep : float
-        [s].
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    ConfigError
-        If the robot is decoupled or has a rigid joint.
-
-    """
+    """Return a planar chain of flexible joints as MuJoCo's XML (str), else raise ConfigError."""
     arm = robot.arm
     if arm.kind != 'planar' or arm.rigid.any():
         raise ConfigError('the comparison with MuJoCo needs a planar arm with flexible joints '
@@ -84,17 +65,7 @@ def _spring(arm, j):
 
 
 class MujocoArm:
-    """
-    A MuJoCo simulation with links first and motors after them in its coordinates.
-
-    Parameters
-    ----------
-    robot : RobotParams
-        As for `mjcf`.
-    timestep : float
-        [s].
-
-    """
+    """A MuJoCo simulation with links first and motors after them in its coordinates."""
 
     def __init__(self, robot, timestep):
         import mujoco

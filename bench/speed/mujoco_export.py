@@ -68,25 +68,10 @@ def measure(_robot, _gains, quick: bool = False) -> Iterator[Measurement]:
 def ratio(name: str, duration: float, without: tuple, lacking: tuple = (),
           motion: str = 'sinusoid') -> float:
     """
-    Return the free-run error of an exported robot in MuJoCo over ours.
+    Return the free-run error of an exported robot with an effect in MuJoCo over ours.
 
-    Parameters
-    ----------
-    name : str
-        The effect that robot and models have.
-    duration : float
-        Of the recording [s].
-    without : tuple of str
-        What is left out for MuJoCo.
-    lacking : tuple of str
-        What is left out of our own model.
-    motion : str
-        What the robot does, of `hidden.motions.MOTIONS`.
-
-    Returns
-    -------
-    float
-
+    ``without`` is left out for MuJoCo, ``lacking`` of our own model; ``motion`` is one of
+    `hidden_robots.motions.MOTIONS`.
     """
     robot, recording = recorded(name, duration, motion)
     measured = motion_of(recording, robot)
@@ -131,22 +116,9 @@ def rms(errors: tuple[np.ndarray, ...]) -> float:
 
 def mujoco_runs(motion: Motion, robot: RobotParams, mjcf: str) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return how far free runs in MuJoCo stray from a recording.
+    Return measured minus simulated angles of free runs in MuJoCo, links and motors (S, H, n).
 
-    Parameters
-    ----------
-    motion : Motion
-        The recording, of n joints.
-    robot : RobotParams
-        Names the joints.
-    mjcf : str
-        The exported model.
-
-    Returns
-    -------
-    link, motor : ndarray, shape (S, H, n)
-        Measured minus simulated angles [rad], from the starts of `free_runs` on.
-
+    Of a Motion and the exported model ``mjcf`` (str), from the starts of `free_runs` on [rad].
     """
     import mujoco
     model = mujoco.MjModel.from_xml_string(mjcf)

@@ -31,32 +31,11 @@ class Search(NamedTuple):
 
 def innovations(stretch, theta, inertia, period, half, bandwidth):
     """
-    Predict the angles of an axis and return how far the readings lie off.
+    Predict the angles of an axis and return how far the readings (T,) lie off [rad].
 
-    Parameters
-    ----------
-    stretch : Segment
-        Of one joint.
-    theta : ndarray
-        Its parameters, as in simulation.predictor.
-    inertia : float
-        Of the link [kg m^2].
-    period : float
-        Sample [s].
-    half : float
-        Half an encoder count [rad].
-    bandwidth : float
-        Of the observer that draws the prediction to the readings [rad/s].
-
-    Returns
-    -------
-    ndarray, shape (T,)
-        [rad].
-
-    Notes
-    -----
-    Link equation (1) of a single axis without gravity, with Eqs. (2) to (5).
-
+    Link equation (1) of a single axis without gravity, with Eqs. (2) to (5), of a Segment and its
+    parameters as in simulation.predictor; ``half`` is half an encoder count [rad], ``bandwidth``
+    that of the observer that draws the prediction to the readings [rad/s].
     """
     ways = {1.0: theta[0:4].tolist(), -1.0: theta[4:8].tolist()}
     attraction = float(theta[ATTRACTION])
@@ -94,17 +73,9 @@ def innovations(stretch, theta, inertia, period, half, bandwidth):
 
 class PlainObjective:
     """
-    The cost of parameters of a single axis.
+    The cost of parameters of a single axis; ``objective`` tells which samples count.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Of one joint.
-    objective : Objective
-        Tells which samples count.
-    floor : float
-        Innovation below which a block of time counts as explained [rad].
-
+    A block of time counts as explained below an innovation of ``floor`` [rad].
     """
 
     def __init__(self, bundle, objective, floor):
@@ -129,25 +100,7 @@ class PlainObjective:
 
 
 def search(cost, start, wanted, budget):
-    """
-    Minimise by Nelder-Mead until a cost is reached, it converges, or time is up.
-
-    Parameters
-    ----------
-    cost : callable
-        Numbers (P,) -> float.
-    start : ndarray, shape (P,)
-        Where to begin.
-    wanted : float
-        Cost that is enough.
-    budget : float
-        [s].
-
-    Returns
-    -------
-    Search
-
-    """
+    """Minimise ``cost`` by Nelder-Mead until one is reached, it converges, or time is up [s]."""
     begin, best, count = perf_counter(), [np.inf, start], 0
 
     class Enough(Exception):

@@ -16,15 +16,7 @@ import numpy as np
 
 
 class GmsBlocks:
-    """
-    Blocks of all joints, Eqs. (2) to (5).
-
-    Parameters
-    ----------
-    params : FrictionParams
-        Their friction.
-
-    """
+    """Blocks of all joints, Eqs. (2) to (5)."""
 
     def __init__(self, params):
         self._p = params
@@ -79,15 +71,7 @@ class GmsBlocks:
 
 
 class NumpyPlant:
-    """
-    The robot of Eq. (1) by semi-implicit Euler steps.
-
-    Parameters
-    ----------
-    robot : RobotParams
-        The robot.
-
-    """
+    """The robot of Eq. (1) by semi-implicit Euler steps."""
 
     def __init__(self, robot):
         self._arm = robot.arm
@@ -119,17 +103,7 @@ class Observer(NamedTuple):
 
 
 class NumpyController:
-    """
-    The cascade law with compensation ``none`` or ``gms_paper``.
-
-    Parameters
-    ----------
-    gains : ControllerParams
-        Its gains.
-    model : RobotParams
-        The robot as believed.
-
-    """
+    """The cascade law with compensation ``none`` or ``gms_paper``."""
 
     def __init__(self, gains, model):
         self._gains, self._model = gains, model
@@ -202,26 +176,10 @@ class NumpyController:
 
 def run(robot, model, gains, reference, period, substeps):
     """
-    Run the closed loop from rest at zero.
+    Run the closed loop from rest at zero along ``reference`` (T, 5, n_joints).
 
-    Parameters
-    ----------
-    robot, model : RobotParams
-        The robot as it is and as believed.
-    gains : ControllerParams
-        Of the controller.
-    reference : ndarray, shape (T, 5, n_joints)
-        Desired link angle and derivatives.
-    period : float
-        Sample [s].
-    substeps : int
-        Integration steps in it.
-
-    Returns
-    -------
-    angles, commands : ndarray, shape (T, n_joints)
-        Link angle [rad] at each sample, and the torque that answers it [N m].
-
+    Return link angles [rad] at each sample and the torques that answer them [N m], (T, n_joints)
+    each.
     """
     plant, controller = NumpyPlant(robot), NumpyController(gains, model)
     angles, commands = np.empty((2, len(reference), robot.n_joints))

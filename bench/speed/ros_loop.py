@@ -41,20 +41,9 @@ _TARGETS = {('three processes', 'round trip p99 / echo'): (1.5, False),
 
 def measure(robot, gains, quick=False):
     """
-    Run echo, three nodes, one process and bridge at 500 Hz and 1 kHz.
+    Run echo, three nodes, one process and bridge at 500 Hz and 1 kHz, where ROS is installed.
 
-    Parameters
-    ----------
-    robot, gains : RobotParams, ControllerParams
-        Not used: the nodes read the package's own files.
-    quick : bool
-        4 s per run instead of 15 s.
-
-    Returns
-    -------
-    list of Measurement
-        Empty where ROS is not installed.
-
+    The nodes read the package's own files; ``quick``: 4 s per run instead of 15 s.
     """
     if find_spec('rclpy') is None:
         return []
@@ -81,29 +70,12 @@ def run_bridge(rate, duration):
 
 def run_loop(rate, duration, *, composed=False, beside=None, **parameters):
     """
-    Run the nodes with a simulated robot.
+    Run the nodes with a simulated robot at a ``rate`` [Hz] for ``duration`` [s].
 
-    Parameters
-    ----------
-    rate : float
-        Joint states per second [Hz].
-    duration : float
-        How long [s].
-    composed : bool
-        In one process, of which all topics are recorded.
-    beside : callable, optional
-        Starts further processes of the Run before the loop, of which one hears the joint states;
-        returns their names.
-    **parameters
-        Of all nodes.
-
-    Returns
-    -------
-    timing : dict
-        What the plant measured, see nodes.pacing.
-    processor : dict of str to float
-        Share of one core each process took while it ran [%].
-
+    ``composed`` is in one process, of which all topics are recorded; ``beside`` starts further
+    processes of the Run before the loop, of which one hears the joint states, and returns their
+    names. Return what the plant measured (dict, see nodes.pacing), and the share of one core each
+    process took while it ran [%].
     """
     moves = {'trajectory.autostart': True}
     with Run() as run:

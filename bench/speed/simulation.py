@@ -40,24 +40,7 @@ def reference_motion(robot):
 
 
 def measure_loop(robot, gains, quick=False):
-    """
-    Time the closed loop at 1 kHz with 10 substeps, compiled, against MuJoCo and numpy.
-
-    Parameters
-    ----------
-    robot : RobotParams
-        The robot, also as believed.
-    gains : ControllerParams
-        Of the controller.
-    quick : bool
-        Fewer and shorter repetitions.
-
-    Returns
-    -------
-    list of Measurement
-        Without MuJoCo's where it is not installed.
-
-    """
+    """Time the closed loop at 1 kHz with 10 substeps, compiled, against MuJoCo and numpy."""
     duration, slow = (4.0, 0.02) if quick else (10.0, 0.5)
     motion, repetitions = reference_motion(robot), 3 if quick else 9
     options = {'period_ns': PERIOD_NS, 'substeps': SUBSTEPS}
@@ -119,19 +102,7 @@ def tick_many(references, dt, state, measured, constants, work):
 
 
 def measure_step(robot, gains, quick=False):
-    """
-    Time one substep of the plant, with effects and in MuJoCo, side by side.
-
-    Parameters
-    ----------
-    robot, gains, quick
-        As for `measure_loop`.
-
-    Returns
-    -------
-    list of Measurement
-
-    """
+    """Time one substep of the plant, with effects and in MuJoCo, side by side."""
     count, repetitions = (1000, 3) if quick else (20_000, 15)
     command = np.full(robot.n_joints, 0.15)  # above break-away: the blocks slip
     cases = {}
@@ -161,19 +132,7 @@ def _substeps(robot, command, count):
 
 
 def measure_tick(robot, gains, quick=False):
-    """
-    Time one tick of the controller and of the plant, in a compiled loop and from Python.
-
-    Parameters
-    ----------
-    robot, gains, quick
-        As for `measure_loop`.
-
-    Returns
-    -------
-    list of Measurement
-
-    """
+    """Time one tick of the controller and of the plant, in a compiled loop and from Python."""
     count, repetitions = (200, 3) if quick else (5000, 15)
     references = reference_motion(robot).sample(np.arange(count) * PERIOD)
     state, measured = boxed(cascade.init(robot)), boxed(encoder.init(robot.n_joints))

@@ -63,25 +63,7 @@ def run(args):
 
 
 def measured(names, robot, gains, quick=False):
-    """
-    Yield the figures of suites, one suite after the other.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Keys of SUITES.
-    robot : RobotParams
-        The robot.
-    gains : ControllerParams
-        Of its controller.
-    quick : bool
-        Rough figures in a few seconds.
-
-    Yields
-    ------
-    Measurement
-
-    """
+    """Yield the Measurements of suites, keys of SUITES, one suite after the other."""
     for name in names:
         module, function = SUITES[name]
         yield from getattr(import_module(f'bench.speed.{module}'), function)(robot, gains, quick)

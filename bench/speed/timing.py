@@ -10,35 +10,15 @@ from time import perf_counter
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """
-    One figure of a benchmark.
+    """One figure of a benchmark."""
 
-    Parameters
-    ----------
-    suite : str
-        Which part of the benchmark it belongs to.
-    name : str
-        What was measured.
-    value : float
-        The figure.
-    unit : str
-        Its unit.
-    target : float, optional
-        What it should reach.
-    at_least : bool
-        Whether larger is better.
-    note : str
-        How to read it.
-
-    """
-
-    suite: str
-    name: str
-    value: float
-    unit: str
-    target: float | None = None
-    at_least: bool = True
-    note: str = ''
+    suite: str  # which part of the benchmark it belongs to
+    name: str  # what was measured
+    value: float  # the figure
+    unit: str  # its unit
+    target: float | None = None  # what it should reach
+    at_least: bool = True  # whether larger is better
+    note: str = ''  # how to read it
 
     @property
     def verdict(self):
@@ -51,20 +31,9 @@ class Measurement:
 
 def interleaved(cases, repetitions):
     """
-    Time several functions in turn, so that a busy moment hits all of them.
+    Return median durations [s] of functions called in turn: a busy moment hits all of them.
 
-    Parameters
-    ----------
-    cases : mapping of str to callable
-        Each is called once unmeasured first, which compiles what must be compiled.
-    repetitions : int
-        Rounds.
-
-    Returns
-    -------
-    dict of str to float
-        Median duration of one call [s].
-
+    Each of ``cases`` is called once unmeasured first, which compiles what must be compiled.
     """
     for function in cases.values():
         function()

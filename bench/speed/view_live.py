@@ -48,18 +48,8 @@ def measure(robot, gains, quick=False):
     """
     Run the loop at 1 kHz without and with the page, in three processes and in one.
 
-    Parameters
-    ----------
-    robot, gains : RobotParams, ControllerParams
-        Not used: the nodes read the package's own files.
-    quick : bool
-        One run of 6 s each instead of three of 15 s.
-
-    Returns
-    -------
-    list of Measurement
-        Empty where ROS or Chromium is not installed.
-
+    Where ROS and Chromium are installed; the nodes read the package's own files. ``quick``: one
+    run of 6 s each instead of three of 15 s.
     """
     if find_spec('rclpy') is None or browser() is None:
         return []

@@ -36,19 +36,9 @@ def constants(robot, *, carried=None, base=(0.0, 1.0, 0.0)):
     """
     Return a robot without changes among its effects as the record the kernels take.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        Two joints in a plane, or joints that do not interact; its effects are terms.
-    carried : ndarray, shape (n_joints,), optional
-        Inertia that couples each motor with the link before it [kg m^2].
-    base : tuple of float
-        Inertia, angular frequency and damping ratio of a base that gives way; inertia 0: none.
-
-    Returns
-    -------
-    numpy.record
-
+    It has two joints in a plane, or joints that do not interact. ``carried`` (n_joints,) is the
+    inertia that couples each motor with the link before it [kg m^2]; ``base`` inertia, angular
+    frequency and damping ratio of a base that gives way, inertia 0: none.
     """
     arm, n = robot.arm, robot.n_joints
     planar = arm.kind == 'planar' and n == 2

@@ -19,15 +19,8 @@ def outside_torques(kind, p, time, q, v, q_motor, friction, drawn):
     """
     Return what a disturbance adds to the torque of link and motor of its joint, scalars.
 
-    Parameters
-    ----------
-    kind : int
-        Index into `NAMES`.
-    p : ndarray, shape (PARAMETERS,)
-        Torque first; see outsiders.
-    time, q, v, q_motor, friction, drawn : float
-        Time, motion of the joint, its friction torque and a random number held for a sample.
-
+    ``kind`` is the index into `NAMES`, ``p`` (PARAMETERS,) has the torque first, see outsiders;
+    then time, motion of the joint, its friction torque and a random number held for a sample.
     """
     if kind == PERIODIC_LINK:
         return p[0] * np.sin(p[1] * time + p[2]), 0.0
