@@ -288,24 +288,12 @@ def run_batch(function, items: dict, *, executor: Executor, journal: Journal | N
     """
     Return what a function makes of many items by their keys, in the order of the items.
 
-    All of it goes through JSON, so that it is the same whether it was kept or just found.
-
-    Parameters
-    ----------
-    function : callable
-        Of a module; takes one item and returns plain values without NaN.
-    items : dict of str to object
-        By a key of their own.
-    executor : Executor
-        From `open_executor`.
-    journal : Journal, optional
-        Of finished items; these are not done again, and stay in it whatever ends the batch.
-    label : str
-        Of the progress bar, which appears on a terminal only.
-    lost : callable, optional
-        LostItemError -> what stands for an item that kills its workers; such a value is not kept,
-        so that the item is tried again another time. Default: the error ends the batch.
-
+    All of it goes through JSON, so that it is the same whether it was kept or just found:
+    ``function``, of a module, takes one of ``items`` and returns plain values without NaN. Items
+    that the Journal has are not done again; what is finished stays in it whatever ends the batch.
+    ``label`` is that of the progress bar, which appears on a terminal only. ``lost`` makes of a
+    LostItemError what stands for an item that kills its workers; that is not kept, so that the
+    item is tried again another time. By default the error ends the batch.
     """
     kept = {} if journal is None else journal.outcomes
     found = {key: kept[key]['value'] for key in items if key in kept}

@@ -40,15 +40,7 @@ def chromium():
 
 
 class Browser:
-    """
-    One headless Chromium with one page.
-
-    Parameters
-    ----------
-    folder : Path
-        For its profile; empty.
-
-    """
+    """One headless Chromium with one page; its profile goes to an empty ``folder``."""
 
     def __init__(self, folder):
         self._folder = Path(folder)

@@ -92,21 +92,9 @@ class Started(NamedTuple):
 
 def started(description, given, pushed=''):
     """
-    Return what a launch description starts.
+    Return what a launch description starts with arguments ``given`` (list of Started).
 
-    Parameters
-    ----------
-    description : Action
-        What ``generate_launch_description`` returned.
-    given : dict of str
-        Launch arguments.
-    pushed : str
-        Namespace that a file around it has pushed.
-
-    Returns
-    -------
-    list of Started
-
+    ``pushed`` is a namespace that a file around it has pushed.
     """
     declared = [entity for entity in description.given[0] if _kind(entity).startswith('Declare')]
     known = {}

@@ -37,15 +37,7 @@ def write_parameters(path, text):
 
 
 class Lab(bench.Bench):
-    """
-    A bench whose processes take the package from this source tree.
-
-    Parameters
-    ----------
-    folder : Path
-        For logs.
-
-    """
+    """A bench whose processes take the package from this source tree."""
 
     executor_class = staticmethod(EventsExecutor)
 
@@ -58,11 +50,8 @@ class Lab(bench.Bench):
         """
         Set parameters as ``ros2 param set`` does, '__' in a name for '.'.
 
-        Returns
-        -------
-        SetParametersResult or list of it
-            One per parameter; a single one if there is one or they are set ``together``.
-
+        Return a SetParametersResult for each; a single one if there is one or they are set
+        ``together``.
         """
         messages = [wire.as_parameter(name, value) for name, value in parameters.items()]
         if together:

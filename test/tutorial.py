@@ -52,17 +52,7 @@ def write_tool(path, words, python=sys.executable):
 
 
 class Terminals:
-    """
-    Somebody who follows a tutorial, with a terminal for each command that wants one of its own.
-
-    Parameters
-    ----------
-    here : Path
-        Where the commands are given.
-    environment : dict of str
-        For them.
-
-    """
+    """Somebody who follows a tutorial, with a terminal for each command that wants one."""
 
     def __init__(self, here, environment):
         self._here, self._mark = here, f'TUTORIAL={uuid4()}'

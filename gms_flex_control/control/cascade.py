@@ -205,21 +205,12 @@ def _motor_law(state, measured, constants, work):
 @compiled
 def tick(state, measured, reference, dt, constants, work) -> None:
     """
-    Answer one measurement with a torque, ``state.command``.
+    Answer one measurement with a torque, ``state.command``, ``dt`` [s] after the one before.
 
-    Parameters
-    ----------
-    state : numpy.record
-        Of `state_layout`, changed in place.
-    measured : numpy.record
-        Fields ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n,).
-    reference : ndarray, shape (5, n_joints)
-        Desired link angle and derivatives 1 to 4.
-    dt : float
-        Time since the tick before [s].
-    constants, work : numpy.record
-        From `constants_of` and `workspace`.
-
+    ``state`` is of `state_layout`, changed in place; ``measured`` has fields ``q_link``,
+    ``dq_link``, ``q_motor``, ``dq_motor`` (n,); ``reference`` (5, n_joints) is the desired link
+    angle and its derivatives 1 to 4; ``constants`` and ``work`` are from `constants_of` and
+    `workspace`.
     """
     link_errors(state, measured, reference, constants, work)
     _spring_torques(state, measured, constants, work)

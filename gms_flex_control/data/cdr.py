@@ -116,17 +116,10 @@ def _joint_state_template(names, counts):
 
 def pack_joint_states(names, stamps, position, velocity=None, effort=None) -> list[bytes]:
     """
-    Pack many JointState messages that share their names, little endian, padding zero.
+    Pack many JointState messages that share their names (m,), little endian, padding zero.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Joint names, ``m`` of them.
-    stamps : array_like of int, shape (T,)
-        Header stamps [ns].
-    position, velocity, effort : array_like, shape (T, m), optional
-        Values [rad, rad/s, N m]; None leaves the field empty.
-
+    Header ``stamps`` (T,) [ns]; position, velocity and effort (T, m) [rad, rad/s, N m], None
+    leaves the field empty.
     """
     stamps = np.asarray(stamps, dtype=np.int64)
     columns = {name: np.asarray(values, dtype=float) for name, values in zip(

@@ -61,27 +61,13 @@ def derivative_window(time, position) -> float:
 
 def smoothed(time, signals, window) -> list[Derivatives]:
     """
-    Filter signals alike and without lag, with their derivatives, on a coarse even grid.
+    Filter signals (T,) alike and without lag, with their derivatives, on a coarse even grid.
 
-    Parameters
-    ----------
-    time : ndarray, shape (T,)
-        Stamps [s]; uneven ones are interpolated.
-    signals : sequence of ndarray, shape (T,)
-        NaN is bridged by interpolation.
-    window : float
-        Length of the bell-shaped filter (four moving averages in a row) [s].
-
-    Returns
-    -------
-    list of Derivatives
-        Each of shape (S,), one value per quarter window; S is 0 for a short recording.
-
-    Notes
-    -----
-    A linear relation between signals and derivatives holds for the filtered ones exactly, so
-    nothing is lost by filtering them, and noise is never differentiated by itself.
-
+    Uneven stamps ``time`` (T,) [s] are interpolated, and NaN is bridged by it. The filter is
+    bell-shaped, four moving averages in a row, ``window`` [s] long; each of the Derivatives has
+    one value per quarter window, none for a short recording. A linear relation between signals and
+    derivatives holds for the filtered ones exactly, so nothing is lost by filtering them, and
+    noise is never differentiated by itself.
     """
     step = float(np.median(np.diff(time)))
     count = int((time[-1] - time[0]) / step * (1 + 1e-12)) + 1
@@ -178,15 +164,8 @@ def standing_out(angles, torques, rates, coarsest) -> tuple:
 
     Behind a gear, or on a slide in metres, the teeth of a wave generator or the lead of a screw
     make hundreds of waves per radian or metre. The spectrum over the angle, not over time, shows
-    them: passes at any speed add up there.
-
-    Parameters
-    ----------
-    angles, torques, rates : sequence of ndarray, shape (S,)
-        Motor angle [rad], what is left of the torque [N m], and rate [rad/s] of each recording.
-    coarsest : float
-        Least order [1/rad].
-
+    them: passes at any speed add up there. Of each recording motor angle [rad], what is left of
+    the torque [N m], and rate [rad/s], (S,) each; ``coarsest`` is the least order [1/rad].
     """
     span = max(float(np.ptp(angle)) for angle in angles)
     speed = float(np.sqrt(np.mean(np.concatenate(rates) ** 2)))

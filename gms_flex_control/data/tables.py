@@ -110,14 +110,9 @@ class JointTable(Table):
     """
     Joint states over time, columns by name.
 
-    Parameters
-    ----------
-    wanted : sequence of str
-        The joints; messages that name none of them are left out.
-    fields : sequence of str, optional
-        Which of position, velocity and effort to keep: columns of shape (T, len(wanted)), NaN
-        where the message has none.
-
+    Messages that name none of the ``wanted`` joints are left out. ``fields`` are those of
+    position, velocity and effort to keep: columns of shape (T, len(wanted)), NaN where the message
+    has none.
     """
 
     def __init__(self, wanted, fields=cdr.VALUES):
@@ -166,17 +161,10 @@ class ArrayTable(Table):
     """
     Float64MultiArray messages over time.
 
-    Its columns are ``stamps`` [ns] with ``stamped`` (bool, whether there is one), and
-    ``values``, shape (T, then that of ``shape``), NaN where a message has fewer.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        The largest shape of the values.
-    shape_of : callable
-        ``shape_of(dims, count)`` returns the shape the values of a message have, None to
-        leave the message out, or raises BagError; stamps make no difference to it.
-
+    Its columns are ``stamps`` [ns] with ``stamped`` (bool, whether there is one), and ``values``,
+    shape (T, then that of ``shape``, the largest), NaN where a message has fewer. ``shape_of(dims,
+    count)`` returns the shape the values of a message have, None to leave the message out, or
+    raises BagError; stamps make no difference to it.
     """
 
     def __init__(self, shape, shape_of):

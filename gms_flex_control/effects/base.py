@@ -140,20 +140,10 @@ class Effect(ABC):
     @classmethod
     def values(cls, given, where) -> tuple:
         """
-        Return the parameter values in declared order.
+        Return the parameter values in declared order, of ``given``, one entry per parameter.
 
-        Parameters
-        ----------
-        given : dict of str to float
-            One entry per parameter.
-        where : str
-            Key of the effect in its file, for the message.
-
-        Raises
-        ------
-        ParameterError
-            If a parameter is missing, not finite or out of bounds.
-
+        ParameterError, naming ``where`` the effect stands in its file, if one is missing, not
+        finite or out of bounds.
         """
         values = []
         for parameter in cls.parameters:

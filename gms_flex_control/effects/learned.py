@@ -56,15 +56,9 @@ def curve(at, p) -> float:
     """
     Return a piecewise linear curve at a place.
 
-    Parameters
-    ----------
-    at : float
-        Where.
-    p : pointer to float64, or ndarray
-        `KNOTS` weights, lowest and highest place, what is beyond: 0 nothing (the first and the
-        last knot lie one step inside), 1 the weight at that end, 2 the curve again; and at how
-        many even knots the first weights stand.
-
+    ``p`` (pointer to float64, or ndarray) has `KNOTS` weights, lowest and highest place, what is
+    beyond: 0 nothing (the first and the last knot lie one step inside), 1 the weight at that end,
+    2 the curve again; and at how many even knots the first weights stand.
     """
     knots = int(p[USED])
     if not p[_HIGHEST] > p[_LOWEST] or not 2 <= knots <= KNOTS:

@@ -52,24 +52,10 @@ def in_words(name: str) -> str:
 @cache
 def find(name: str) -> type[Effect]:
     """
-    Return the class of an effect.
+    Return the class of an effect, a subclass of Term or Change; ``name`` such as 'backlash'.
 
-    Parameters
-    ----------
-    name : str
-        Such as ``'backlash'``.
-
-    Returns
-    -------
-    type
-        A subclass of Term or Change.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such effect; the sentence names the nearest. If a package offers one that
-        cannot be loaded, is no effect or has a name that is taken.
-
+    ParameterError if there is no such effect; the sentence names the nearest. Or if a package
+    offers one that cannot be loaded, is no effect or has a name that is taken.
     """
     if name in learned.KINDS:
         return learned.KINDS[name]

@@ -162,28 +162,12 @@ def _also_lacks(robot):
 
 def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) -> str:
     """
-    Return a robot as MJCF for MuJoCo 4.
+    Return a robot with effects among `EFFECTS` as MJCF for MuJoCo 4 (str).
 
-    Parameters
-    ----------
-    robot : RobotParams
-        With effects among `EFFECTS`, see `target.export`.
-    without : tuple of str
-        With ``presliding`` friction has no blocks: MuJoCo's dry friction takes their place.
-    timestep : float
-        Of the integration [s].
-
-    Returns
-    -------
-    str
-        Hinges and actuators have the names of links and motors, in their order: first all
-        links, then the motors of flexible joints; one input per joint [N m].
-
-    Raises
-    ------
-    ConfigError
-        If the time step is too long for the stiffest spring.
-
+    Hinges and actuators have the names of links and motors, in their order: first all links, then
+    the motors of flexible joints; one input per joint [N m]. ``without`` ``presliding`` friction
+    has no blocks: MuJoCo's dry friction takes their place. ConfigError if the ``timestep`` [s] is
+    too long for the stiffest spring.
     """
     joints = [_joint(robot, j, 'presliding' in without) for j in range(robot.n_joints)]
     for spec in robot.effects:

@@ -34,26 +34,10 @@ def drive_motion(parameters: dict, duration: float, bag: str | Path, *, patience
     """
     Set the motion of the running node ``/trajectory``, start it, record it, bring it to rest.
 
-    Parameters
-    ----------
-    parameters : dict of str to object
-        ``trajectory.*`` of the motion.
-    duration : float
-        From its beginning by the stamps of the joint states [s]; `APPROACH` is added.
-    bag : str or Path
-        Folder to be made.
-    patience : float
-        For nodes and topics to be there [s].
-    say : callable
-        Called with what happens.
-
-    Raises
-    ------
-    RunError
-        If the nodes are missing, refuse the motion, or fall silent. ``~/stop`` has been called.
-    BagError
-        If the bag cannot be written.
-
+    ``parameters`` are ``trajectory.*``; ``duration`` [s] is from its beginning by the stamps of
+    the joint states, `APPROACH` is added; ``patience`` [s] is for nodes and topics to be there.
+    RunError if the nodes are missing, refuse the motion, or fall silent, after ``~/stop`` has been
+    called; BagError if the bag cannot be written.
     """
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:

@@ -28,26 +28,11 @@ def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin='') -> str
     """
     Return a robot as URDF text.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        A planar chain, or decoupled axes, which are put side by side. A robot that has a URDF
-        gets that one back, friction put in; links and limits are its own.
-    name : str
-        Of the robot.
-    motors : bool
-        Whether flexible joints get a joint of their own for the motor, beside the link's.
-    limits : Limits, optional
-        Of torque, velocity and range of each joint.
-    plugin : str
-        Hardware interface of a ``<ros2_control>`` block; '' for no block.
-
-    Returns
-    -------
-    str
-        XML with one joint per link and motor, about z, named as in the robot: ``revolute`` where
-        its range is limited, else ``continuous``.
-
+    A planar chain, or decoupled axes, which are put side by side; a robot that has a URDF gets
+    that one back, friction put in, its links and limits its own. One joint per link and motor,
+    about z, named as in the robot: ``revolute`` where ``limits`` give a range, else
+    ``continuous``. ``motors`` is whether flexible joints get a joint of their own for the motor,
+    ``plugin`` the hardware interface of a ``<ros2_control>`` block, '' for no block.
     """
     if robot.arm.frames is not None:
         return _with_friction(robot)

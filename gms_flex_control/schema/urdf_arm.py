@@ -53,27 +53,12 @@ class Links:
 
 def read_links(path, joints, base: str = '', tip: str = '') -> Links:
     """
-    Read a serial chain from a URDF file.
+    Read a serial chain, its ``joints`` from the base outwards, from a URDF file as Links.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    joints : sequence of str
-        Joints of the chain, from the base outwards.
-    base, tip : str
-        Links it begins and ends with; default the root, and the link of the last joint with
-        all that is fixed to it. With a tip, joints beside and beyond the chain are held at 0.
-
-    Returns
-    -------
-    Links
-
-    Raises
-    ------
-    ConfigError
-        If it is no such chain, or a link cannot have the mass and inertia given.
-
+    It begins and ends with the links ``base`` and ``tip``, by default the root, and the link of
+    the last joint with all that is fixed to it. With a tip, joints beside and beyond the chain are
+    held at 0. ConfigError if it is no such chain, or a link cannot have the mass and inertia
+    given.
     """
     path = Path(path)
     try:

@@ -160,22 +160,10 @@ def fourier(sine, cosine, period, *, repeats=1, ramp_time=2.0) -> Trajectory:
     """
     Return a Fourier series between two rests at zero.
 
-    Parameters
-    ----------
-    sine, cosine : ndarray, shape (n_harmonics, n_joints)
-        Of harmonics 1, 2, ... [rad].
-    period : float
-        Of the first harmonic [s].
-    repeats : int
-        Periods.
-    ramp_time : float
-        From rest into the series, and out of it [s].
-
-    Notes
-    -----
-    Its segments are the polynomials of degree 9 through value and four derivatives, eight for a
-    period of the highest harmonic: they differ from the series by less than 1e-9 of it.
-
+    ``sine`` and ``cosine`` (n_harmonics, n_joints) are of harmonics 1, 2, ... [rad], ``period`` of
+    the first harmonic [s], ``ramp_time`` from rest into the series, and out of it [s]. Its
+    segments are the polynomials of degree 9 through value and four derivatives, eight for a period
+    of the highest harmonic: they differ from the series by less than 1e-9 of it.
     """
     sine, cosine = np.atleast_2d(sine).astype(float), np.atleast_2d(cosine).astype(float)
     _positive(period=period, ramp_time=ramp_time)

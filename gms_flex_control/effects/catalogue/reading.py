@@ -64,25 +64,12 @@ _BEYOND = 1.0  # for how long the first and the last torque are held outside the
 
 def torque_at_angles(torque, period, delay) -> np.ndarray:
     """
-    Return torques as they acted where the recorded angles belong.
+    Return torques (T, n_joints) as they acted where the recorded angles belong.
 
-    The same delay seen from the torques: exact, where clearing angles of it amplifies their
-    noise from some frequency below 1 / (6 delay) on.
-
-    Parameters
-    ----------
-    torque : ndarray, shape (T, n_joints)
-        As recorded, held over samples [N m].
-    period : float
-        Sample [s].
-    delay : float
-        By which all angles are older than the torques [s].
-
-    Returns
-    -------
-    ndarray, shape (T, n_joints)
-        Mean over each sample [N m].
-
+    Mean over each sample of ``torque`` as recorded, held over samples of a ``period`` [s]; all
+    angles are older than the torques by ``delay`` [s]. The same delay seen from the torques:
+    exact, where clearing angles of it amplifies their noise from some frequency below 1 / (6
+    delay) on.
     """
     edges = np.arange(len(torque) + 1) * period
     times = np.concatenate([[-_BEYOND], edges, [edges[-1] + _BEYOND]])
