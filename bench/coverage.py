@@ -19,7 +19,7 @@ from typing import NamedTuple
 from bench.hidden_robots.hide import seeds_of
 from bench.identification_simulated import simulate_identification
 from gms_flex_control.answer import align
-from gms_flex_control.batches import fingerprint, Journal, open_executor, run_batch
+from gms_flex_control.batches import fingerprint, run_kept
 from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.data.recording import Recording
@@ -78,10 +78,8 @@ def add_parser(subparsers):
 def run(args):
     """Identify, count, print and write; return 0."""
     items = {' '.join(map(str, case)): case for case in cases_of(args)}
-    journal = Journal(args.out, fingerprint() + fingerprint(('coverage.py',), HERE))
-    with open_executor(args.workers, args.scheduler) as executor:
-        outcomes = list(run_batch(try_case, items, executor=executor, label='identifications',
-                                  journal=journal).values())
+    outcomes = list(run_kept(try_case, items, args, fingerprint() + fingerprint(
+        ('coverage.py',), HERE), 'identifications').values())
     *both, total = tables(outcomes)
     write_text(args.out / 'coverage.json', json.dumps(outcomes, indent=1))
     write_text(args.out / 'coverage.md', '\n\n'.join(markdown(*one) for one in both) + '\n')

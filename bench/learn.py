@@ -16,7 +16,7 @@ from bench.real_machines.machines import BAND, MACHINES
 from bench.real_machines.motion import low_pass, motion_of, residual_torque, rms
 from bench.real_machines.split import identified, model_rms, parts_of
 from gms_flex_control.answer import align
-from gms_flex_control.batches import fingerprint, Journal, open_executor, run_batch
+from gms_flex_control.batches import fingerprint, run_kept
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.discrepancy import motion as measured
 from gms_flex_control.discrepancy.fitting import retuned
@@ -88,11 +88,8 @@ def run(args):
     items += [Item('clean', '', seed, CLEAN) for seed in seeds_of(args.clean)]
     items += [Item('real', name, 0, 0.0) for name in args.machines
               if not MACHINES[name].absent()]
-    journal = Journal(args.out, fingerprint(_SOURCES)
-                      + fingerprint(('learn.py',), Path(__file__).parent))
-    with open_executor(args.workers, args.scheduler) as executor:
-        found = run_batch(tried, {'/'.join(map(str, item)): item for item in items},
-                          executor=executor, journal=journal, label='robots')
+    found = run_kept(tried, {'/'.join(map(str, item)): item for item in items}, args, fingerprint(
+        _SOURCES) + fingerprint(('learn.py',), Path(__file__).parent), 'robots')
     rows = list(found.values())
     write_text(Path(args.out) / 'learned.json', json.dumps(rows, indent=2) + '\n')
     print('\n\n'.join(text_of(rows)))

@@ -4,7 +4,6 @@
 """`python -m bench recover`: what an experiment tells, tried on a simulated robot many times."""
 
 from dataclasses import replace
-import hashlib
 import json
 import math
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import NamedTuple
 
 from bench.identification_simulated import simulate_identification
 from gms_flex_control.answer import align
-from gms_flex_control.batches import fingerprint, Journal, open_executor, run_batch
+from gms_flex_control.batches import digest_of, fingerprint, run_kept
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.identification_plan import read_identification_plan
@@ -100,12 +99,10 @@ def trials_of(args, setting):
                         args.believed, args.rate, args.torque_noise],
                        default=np.ndarray.tolist)
     own = fingerprint(('recover.py',), Path(__file__).parent)
-    journal = Journal(args.out, f'{fingerprint(SOURCES)} {own} '
-                      f'{hashlib.sha256(asked.encode()).hexdigest()[:16]}')
     items = {f'seed {seed}': TrialItem(*setting, seed, args.rate, args.torque_noise)
              for seed in range(args.first, args.first + args.seeds)}
-    with open_executor(args.workers, args.scheduler) as executor:
-        found = run_batch(try_item, items, executor=executor, journal=journal, label='seeds')
+    found = run_kept(try_item, items, args, f'{fingerprint(SOURCES)} {own} {digest_of(asked)}',
+                     'seeds')
     return [from_values(values) for values in found.values()]
 
 
