@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from bench.__main__ import main
 from bench.hidden_robots.cases import make_case
+from discrepancy_runs import likelihood_of, retuned_of
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.motion import motion_of, with_links
@@ -16,6 +17,7 @@ from gms_flex_control.discrepancy.residuals import (
     unexplained,
 )
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
+from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import EffectSpec
@@ -96,6 +98,17 @@ def test_a_clean_robot_is_complete_and_it_is_said_what_is_lost():
     assert result.verdict == COMPLETE, result.words
     assert 'No link encoder of joint1, joint2 was recorded' in result.words
     assert 'encoder_skew' in result.words.split('Not identifiable there:')[1]
+
+
+@pytest.mark.parametrize('seed', [4, 5])
+def test_torque_noise_is_measured_though_it_moves_the_links_computed(seed):
+    case = make_case('clean', seed, population='noise_6', duration=20.0)
+    likelihood = likelihood_of(replace(case, recording=blind(case.recording)))
+    told = white_noise(likelihood, retuned_of(likelihood)[0])
+    np.testing.assert_allclose(told[0, :2], case.truth.torque_noise, rtol=0.25)
+    noisy = likelihood.with_noise(told)
+    model, _ = retuned_of(noisy)
+    assert np.mean(model.rows ** 2) == pytest.approx(np.mean(noisy.clean ** 2), rel=0.3)
 
 
 def test_an_effect_is_named_by_the_motors_alone():

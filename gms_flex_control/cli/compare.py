@@ -8,11 +8,12 @@ from pathlib import Path
 
 from gms_flex_control.batches import content_of, digest_of, fingerprint, run_kept
 from gms_flex_control.cli.identify_bags import motors_in
+from gms_flex_control.cli.robots import controller_of
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.cli.verbs import OF_A_BAG, OF_A_PLANT
 from gms_flex_control.comparison import prediction, study
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.file_io import as_json, controller_file, robot_file, write_json
+from gms_flex_control.file_io import as_json, robot_file, write_json
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.results import prediction_values
@@ -72,7 +73,7 @@ def _settle(args, is_plant):
 def _on_plant(args, files):
     """Return table, plain values, page, Answer and units of the comparison in simulation."""
     robot = load_robot(files or robot_file())
-    gains = load_controller(args.controller or controller_file(), robot)
+    gains = load_controller(controller_of(args, robot.joints), robot)
     setting = study.Setting(robot, gains, np.full(robot.n_joints, args.amplitude), args.rate,
                             args.draws, args.seed)
     outcomes = _finished(args, study.try_cell, study.cells(setting), robot, gains,
@@ -89,7 +90,7 @@ def _along_bag(args):
     """Return table, plain values, page, Answer and units of the comparison along a bag."""
     bag, = args.source
     robot = load_robot(args.robot or robot_file())
-    gains = load_controller(args.controller or controller_file(), robot)
+    gains = load_controller(controller_of(args, robot.joints), robot)
     motors = motors_in(bag, robot)
     found = prediction.read_along(bag, motors, robot)
     prediction.split(found.pieces, args.fit)  # says now what is too short

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from gms_flex_control.answer import Answer, command, Number
 from gms_flex_control.cli.identify_bags import read_experiment_of
+from gms_flex_control.cli.robots import controller_of
 from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.conditions import conditions_of, OF_ROBOT, repeat_conditions
@@ -29,7 +30,7 @@ from gms_flex_control.design.separation import beliefs_of, closed_loop_plan, loa
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import simulate_to_bag
-from gms_flex_control.file_io import controller_file, write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import together
 from gms_flex_control.params.gains import ControllerParams
@@ -95,7 +96,7 @@ def _loaded(args):
     if limits is None or limits.missing():
         raise ConfigError(f'--limits {" ".join(args.limits)}: limits.{robot.joints[0]}.'
                           f'{limits.missing()[0] if limits else "torque"} is missing')
-    return robot, load_controller(args.controller or controller_file(), robot), limits
+    return robot, load_controller(controller_of(args, robot.joints), robot), limits
 
 
 def _determine(report, args, out):

@@ -27,10 +27,10 @@ def simulate(args) -> int:
     overrides = dict(parse_override(text) for text in args.overrides)
     modes = args.compensation or [None]
     several = len(args.trajectory) * len(modes) > 1
-    results = []
+    robot, results = args.robot or [robot_file()], []
+    controller = controller_of(args, load_robot(robot).joints)
     for motion, mode in product(args.trajectory, modes):
-        files = [*(args.robot or [robot_file()]), args.controller or controller_file(),
-                 trajectory_file(motion)]
+        files = [*robot, controller, trajectory_file(motion)]
         chosen = overrides | ({'compensation': mode} if mode else {})
         plan = read_plan(files, model=args.model, overrides=chosen, duration=args.duration)
         name = f'{Path(motion).stem}_{plan.gains.compensation}'
@@ -52,6 +52,16 @@ def simulate(args) -> int:
     again = ('analyse', *bags, '--out', Path(args.out) / 'results') if several else ('view', *bags)
     print(f'\nnext: {command(*again)}')
     return 0
+
+
+def controller_of(args, joints) -> list | Path:
+    """Return the files of --controller, by default the paper's if they are for these joints."""
+    known = load_robot(robot_file()).joints
+    if not args.controller and tuple(joints) != known:
+        raise ConfigError(
+            f'--controller is required: the default gains are for {", ".join(known)}, this robot '
+            f'has {", ".join(joints)}; gms_flex tune proposes gains')
+    return args.controller or controller_file()
 
 
 def parse_override(text: str) -> tuple:

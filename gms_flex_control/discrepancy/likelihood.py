@@ -176,12 +176,31 @@ class Likelihood:
                 self._cautious)
 
     def torque_noise(self, m, rng, size=None) -> np.ndarray:
-        """Return the residual torque (S, 2 n) of white torque noise in a recording."""
+        """
+        Return the residual torque (S, 2 n) of white torque noise in a recording.
+
+        Where links have no encoder, noise moves the angles that are computed from torques as well.
+        """
         motion, n = self.motions[m], self.robot.n_joints
-        drawn = rng.standard_normal((len(motion.fine_time), 2 * n)) * (
-            self.noise[m] if size is None else size)
+        size = np.broadcast_to(self.noise[m] if size is None else size, 2 * n)
+        drawn = size * rng.standard_normal((len(motion.fine_time), 2 * n))
+        unseen = [link.joint for link in motion.unseen]
+        computed = np.zeros((len(motion.fine_time), n))
+        computed[:, unseen], drawn[:, unseen] = drawn[:, unseen], 0.0
         return np.concatenate([motion.through_filter(drawn[:, :n]),
-                               motion.through_filter(drawn[:, n:])], axis=1)
+                               motion.through_filter(drawn[:, n:])],
+                              axis=1) + self._moving_links(m, computed)
+
+    def _moving_links(self, m, torque):
+        """Return the residual torque (S, 2 n) of noise (T, n) from which links are computed."""
+        largest = np.max(np.std(torque, axis=0) / self.coulomb)
+        if largest == 0.0:
+            return 0.0
+        # small, so that friction along the links is nearly linear in it
+        share, motion = PRACTICAL_FLOOR / largest, self._null.pair[0][m]
+        constants = self.constants(self._null.robot, self._null.x)
+        return (unexplained(motion.with_torque(motion.command + share * torque), constants)
+                - unexplained(motion, constants)) / share
 
     # --- likelihood --------------------------------------------------------------------------
 

@@ -47,14 +47,17 @@ def white_noise(likelihood, model) -> np.ndarray:
             if excess:
                 out[m, c] = np.sqrt(max(min(excess) + likelihood.noise[m, c] ** 2, 0.0))
     most = LARGEST_NOISE * np.tile(likelihood.coulomb, 2)
-    return np.minimum(out, most / np.maximum(noise_response(likelihood), 1e-300))
+    return np.minimum(out, most / noise_response(likelihood))
 
 
-def noise_response(likelihood) -> np.ndarray:
-    """Return the rms behind the low-pass of white torque noise of unit size (2 n,)."""
-    rows = likelihood.whitenings[0].torque_rows(
-        likelihood.torque_noise(0, np.random.default_rng([likelihood.seed, 8, 0]), 1.0))
-    return np.sqrt(np.mean(rows ** 2, axis=0))
+def noise_response(likelihood) -> float:
+    """Return the rms behind the low-pass of white torque of unit size."""
+    motion = likelihood.motions[0]
+    white = np.random.default_rng([likelihood.seed, 8, 0]).standard_normal(
+        (len(motion.fine_time), 2 * likelihood.robot.n_joints))
+    rows = likelihood.whitenings[0].torque_rows(np.concatenate(
+        [motion.through_filter(side) for side in np.split(white, 2, axis=1)], axis=1))
+    return float(np.sqrt(np.mean(rows ** 2)))
 
 
 def noise_of(likelihood, model) -> tuple[Noise, ...]:
@@ -65,7 +68,7 @@ def noise_of(likelihood, model) -> tuple[Noise, ...]:
     response = noise_response(likelihood)
     levels = _octave_levels(likelihood, model)
     for c in range(2 * n):
-        rms = float(np.hypot(total[c], white[c] * response[c]))
+        rms = float(np.hypot(total[c], white[c] * response))
         if rms < PRACTICAL_FLOOR * likelihood.coulomb[c % n]:
             continue
         slow, fast = levels[c]

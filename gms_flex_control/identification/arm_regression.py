@@ -58,7 +58,7 @@ _LOAD_SIZE = 0.3    # and so large [m]
 _VAGUE_SD = 1e3     # the same of base parameters: those of a joint that stands have a variance
 _DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load identifies it
 _UNKNOWN_SD = 0.5   # the same of currents, around what the URDF's masses give
-_ROUNDS = 8         # of Gauss and Newton: scales multiply parameters
+_ROUNDS = 50        # of Gauss and Newton at most: scales multiply parameters
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them
 _LOADED = 5.0       # standard errors beyond which friction grows with the load
 _SURE = 3.0         # standard deviations of its mass that an unknown load has at least
@@ -237,7 +237,7 @@ class _Fit:
         rows, layout, at = self._rows, self._layout, self._at
         precision = self._precision()
         weighting = None
-        for k in range(_ROUNDS if len(layout.free) else 1):
+        for k in range(_ROUNDS):
             model = self._torque()
             columns = self._columns(model)
             pull = np.zeros(len(precision))
@@ -259,8 +259,14 @@ class _Fit:
             at.scale[layout.free] *= np.exp(np.clip(scales, -1.0, 1.0))
             at.loads[layout.unknown] += loads.reshape(-1, 10)
             at.coupled = at.coupled + coupled
-            if k and np.all(np.abs(scales) < _SETTLED):  # first, parameters of 0 leave scales be
-                break
+            if not len(scales) or k and np.all(np.abs(scales) < _SETTLED):
+                return  # not at first, when parameters of 0 leave scales be
+        worst = layout.free[np.argmax(np.abs(scales))]
+        raise IdentificationError(
+            f'{self._sources[0]}: the scale of the torque of {self._robot.joints[worst]} does not '
+            f'settle within {_ROUNDS} rounds (at last {at.scale[worst]:.3g}, still changing by '
+            f'{np.abs(scales).max():.1%}): state its torque_constant in recording.yaml, or add a '
+            'recording with a known load')
 
     def _precision(self):
         """Return the inverse prior variances (P,) of the unknowns."""

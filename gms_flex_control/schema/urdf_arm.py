@@ -22,6 +22,7 @@ LARGEST = 20_000_000  # bytes of a URDF
 _MOVES = ('revolute', 'continuous', 'prismatic')
 _LOOSE = ('floating', 'planar')
 _MOST_ANGLE = 50.0    # a limit of a revolute joint beyond this is in degrees [rad]
+_MOST_LENGTH = 20.0   # of an arm: beyond it lengths are in millimetres, inertias likewise [m]
 _XACRO = '{http://www.ros.org/wiki/xacro}'
 _POINT = 1e-6          # of a mass whose inertia is given as 0, times the mass [m^2]
 _SHAPES = ('visual', 'collision')
@@ -275,6 +276,9 @@ class _Tree:
         if not tensor.any():  # a point, as many URDFs have it
             tensor = _POINT * mass * np.eye(3)
         require_body(where, mass, tensor)
+        if np.trace(tensor) > mass * _MOST_LENGTH ** 2:
+            raise ConfigError(f'{where} has an inertia of {tensor.max():g} kg m^2 at {mass:g} kg, '
+                              'as no link of an arm: it looks like kg mm^2; URDF wants kg m^2')
         return Body(mass, place, rotation @ tensor @ rotation.T)
 
 
@@ -351,6 +355,9 @@ def _origin(element, where):
         return np.eye(3), np.zeros(3)
     place, angles = (_numbers(origin, name, 3, where, 'origin') if name in origin.attrib
                      else np.zeros(3) for name in ('xyz', 'rpy'))
+    if np.linalg.norm(place) > _MOST_LENGTH:
+        raise ConfigError(f'{where} has an <origin> {np.linalg.norm(place):g} m away: it looks '
+                          'like millimetres; URDF wants metres')
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
     rotation = np.array([[cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
                          [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],

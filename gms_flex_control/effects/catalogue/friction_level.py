@@ -19,7 +19,7 @@ class CoulombError(Change):
     name = 'coulomb_error'
     words = 'Level of the friction other than believed'
     evidence = 'link rate'
-    confusable = ('friction_drift',)
+    confusable = ('friction_drift', 'motor_coulomb')
     discriminated_by = 'the same motion at the beginning and at the end of a long run'
     replaces = 'level'
     parameters = (Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True,
@@ -92,7 +92,7 @@ class ViscousError(Term):
     words = 'Slope of the friction over velocity other than believed'
     stage = Stage.FRICTION
     evidence = 'link rate'
-    confusable = ('quadratic_drag',)
+    confusable = ('quadratic_drag', 'motor_viscous')
     discriminated_by = 'faster motion, over a range of speeds of 1 to 5'
     replaces = 'viscous'
     least_is_value = True     # no viscous friction at all

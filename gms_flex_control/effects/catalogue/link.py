@@ -123,7 +123,7 @@ class ConstantLinkTorque(Term):
     words = 'Constant torque on the link, as from a cable'
     stage = Stage.LINK
     evidence = 'link rate'
-    confusable = ('spring_offset', 'friction_asymmetry')
+    confusable = ('spring_offset', 'friction_asymmetry', 'motor_torque_bias')
     declared_from = 0.3       # levels that differ by direction are nearly a constant torque
     discriminated_by = 'motion both ways over the whole range, with rests between'
     fed_forward = True

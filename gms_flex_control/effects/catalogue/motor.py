@@ -88,6 +88,7 @@ class MotorViscous(Term):
     words = 'Viscous friction of the motor side'
     stage = Stage.MOTOR
     evidence = 'motor rate'
+    confusable = ('viscous_error',)
     discriminated_by = 'fast motion of the motor with the link taken off'
     fed_forward = True
     parameters = (Parameter('viscous', 'N m s/rad', 'viscous coefficient', lower=0.0,
@@ -106,6 +107,7 @@ class MotorCoulomb(Term):
     words = 'Dry friction of the motor side'
     stage = Stage.MOTOR
     evidence = 'motor rate'
+    confusable = ('coulomb_error',)
     discriminated_by = 'slow motion of the motor with the link taken off'
     parameters = (Parameter('coulomb', 'N m', 'level', lower=0.0,
                             typical=lambda s: 0.3 * s.friction),)
@@ -124,6 +126,7 @@ class MotorTorqueBias(Term):
     words = 'Constant torque on the motor, as from an amplifier offset'
     stage = Stage.MOTOR
     evidence = 'motor rate'
+    confusable = ('constant_link_torque',)
     discriminated_by = 'a recording with another load, or with the link held'
     fed_forward = True
     parameters = (Parameter('bias', 'N m', 'torque', typical=lambda s: 0.3 * s.friction),)
