@@ -57,6 +57,7 @@ OPTIONS = [
         ('--set gains.joint1.kd_link=-1', 'gains.joint1.kd_link must be'),
         ('--set rate=fast', "rate must be a number [Hz], got 'fast'"),
         ('--set rate=.nan', 'rate must be finite, got nan'),
+        ('--robot {arm}', '--controller is required: the default gains are for joint1, joint2, this'),
         ('--compensation gsm', "did you mean 'gms'?"),
         ('--trajectory sinus', '--trajectory sinus: no such file'),
         ('--trajectory absent.yaml', 'absent.yaml: cannot be read'),
@@ -100,6 +101,7 @@ def told_of(words, folder, capsys):
     """Run words in which {places} stand; return what is said, that it is all there is checked."""
     places = {'missing': folder / 'missing', 'dir': folder / 'out', 'file': folder / 'file',
               'folder': folder / 'folder', 'empty': folder / 'empty.mcap',
+              'arm': ROOT / 'examples' / 'light_arm' / 'robot.yaml',
               'robot': ROOT / 'config' / 'robot.yaml', 'bridge': ROOT / 'config' / 'bridge.yaml'}
     places['file'].write_text('mine')
     places['empty'].touch()

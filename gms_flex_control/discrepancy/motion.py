@@ -295,7 +295,8 @@ def scales_of(motions, robot) -> list:
             supply=min(float(one.supply.mean()) for one in motions),
             count=max(encoder_step(one.readings[:, 0, j], one.noise[0, j]) for one in motions),
             presliding=float(np.max(robot.friction.weight[j] * robot.friction.forward.coulomb[j]
-                                    / robot.friction.stiffness[j]))))
+                                    / robot.friction.stiffness[j])),
+            in_space=arm.frames is not None))
     return found
 
 

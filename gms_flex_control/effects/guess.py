@@ -46,6 +46,7 @@ class Scales(NamedTuple):
     mass: float = 1.0  # of all links [kg]
     count: float = 0.0  # of the coarsest encoder of the link [rad]; 0 where readings have no steps
     presliding: float = np.inf  # displacement at which the softest block slips [rad]
+    in_space: bool = False  # other joints feel the inertia of its link, and none its motor's
 
     @property
     def rigid(self) -> bool:

@@ -36,7 +36,7 @@ class MotorInertiaError(Change):
 
     @staticmethod
     def guesses(scales) -> list:
-        if scales.rigid and scales.link_inertia > 0.0:
+        if scales.rigid and scales.link_inertia > 0.0 and not scales.in_space:
             return []  # the joint's inertia is that of its link, too
         return linear(0.1)
 
