@@ -103,7 +103,7 @@ def test_joints_are_known_by_name_whatever_their_order(case):
     assert turned.joints == ('joint2', 'joint1')
     told = [find_discrepancy([one], case.nominal, Options(most=0)) for one in (recording, turned)]
     assert told[0].words == told[1].words
-    assert told[0].verdict != BAD_DATA and told[0].faults == ()
+    assert told[0].verdict != BAD_DATA and told[0].data.faults == ()
     alone = find_discrepancy([recording.of_joints(['joint2'])], case.nominal)
     assert alone.verdict == BAD_DATA and "no joint 'joint1'" in alone.words
     with pytest.raises(BagError, match="no joint 'joint1'"):
@@ -124,7 +124,7 @@ def test_faults_of_time_are_told_where_links_are_not_seen(case, change, word):
 def test_with_no_effect_to_look_for_it_is_said_that_something_is_left():
     case = make_case('single', 0, plant='soft', duration=20.0)
     result = find_discrepancy([case.recording], case.nominal, Options(without=names()))
-    assert result.verdict == UNEXPLAINED and result.tried == ()
+    assert result.verdict == UNEXPLAINED and result.searched.tried == ()
 
 
 def test_torque_that_was_recorded_late_is_named(case):
@@ -144,4 +144,4 @@ def test_who_insists_is_answered(case):
     """With ``force`` the faults are listed and the run goes on."""
     result = find_discrepancy([ALL['slipped'][2](case.recording)], case.nominal,
                               Options(force=True, most=1))
-    assert result.verdict != BAD_DATA and result.faults and result.gap is not None
+    assert result.verdict != BAD_DATA and result.data.faults and result.gap is not None

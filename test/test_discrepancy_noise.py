@@ -45,7 +45,7 @@ def test_a_robot_with_noisy_drives_lacks_nothing():
     case = make_case('clean', 4, population='noise_6', duration=SHORT)
     result = find_discrepancy([case.recording], case.nominal, Options(most=2))
     assert (result.verdict, result.named) == (COMPLETE, ()), result.words
-    told = {one.joint: one for one in result.noise if one.equation == 'motor'}
+    told = {one.joint: one for one in result.data.noise if one.equation == 'motor'}
     assert set(told) == set(case.nominal.joints)
     assert 'Torque noise of the recording' in result.words
     assert {one.colour for one in told.values()} == {'white'}

@@ -100,10 +100,10 @@ def test_a_belief_that_is_two_percent_off_is_not_named():
 def test_probabilities_of_what_is_found_are_those_of_the_models(named):
     """Of the credible set that is reported; effects of every likely model are certain."""
     case, result = named
-    shares = [one.probability for one in result.models]
+    shares = [one.probability for one in result.searched.models]
     assert shares == sorted(shares, reverse=True) and 0.95 <= sum(shares) <= 1.0 + 1e-9
     true, = case.truth.effects
-    assert all((true.name, true.joint) in one.effects for one in result.models)
+    assert all((true.name, true.joint) in one.effects for one in result.searched.models)
     assert result.findings[0].probability > 0.99
     assert result.findings[0].held_out.is_real
 
@@ -111,7 +111,7 @@ def test_probabilities_of_what_is_found_are_those_of_the_models(named):
 def test_noise_is_told_though_nothing_was_hidden_in_it(named):
     """Ideal drives: what is told of torque noise is below what matters."""
     case, result = named
-    for one in result.noise:
+    for one in result.data.noise:
         friction = case.nominal.friction.forward.coulomb[case.nominal.joints.index(one.joint)]
         assert one.rms < 0.03 * friction
 
@@ -232,7 +232,7 @@ def test_what_makes_a_model_worse_is_named_and_not_added(named, monkeypatch):
                         lambda likelihood, found, *_: found.before)
     case, before = named
     result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
-    assert result.tried == before.tried  # the same seed, the same numbers
+    assert result.searched.tried == before.searched.tried  # the same seed, the same numbers
     true, = case.truth.effects
     assert (result.verdict, result.robot.effects, result.added) == (UNEXPLAINED, (), ())
     assert [one.key for one in result.not_added] == [(true.name, true.joint)]
@@ -266,7 +266,7 @@ def test_what_differs_between_recordings_is_no_effect():
                     tau_motor=case.held_out.tau_motor + [0.0, 0.02])
     result = find_discrepancy([case.recording, other], case.nominal, Options(most=1))
     assert result.verdict == COMPLETE and not result.named
-    told = {sentence.split(' joint')[0]: sentence for sentence in result.recordings}
+    told = {sentence.split(' joint')[0]: sentence for sentence in result.data.differences}
     assert set(told) == {'zero of the link encoder of', 'torque of'}
     for what, joint, expected in (('zero of the link encoder of', 'joint1', 2.0),
                                   ('torque of', 'joint2', 0.02)):

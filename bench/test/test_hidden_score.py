@@ -14,7 +14,7 @@ from bench.hidden_robots.jobs import fingerprint, Job, jobs_of
 from bench.hidden_robots.outcome import try_job
 from bench.hidden_robots.score import jobs_asked
 from gms_flex_control.batches import Journal
-from gms_flex_control.discrepancy.result import Credible, Noise
+from gms_flex_control.discrepancy.result import Credible, Noise, Recorded, Searched
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.errors import BagError
 import numpy as np
@@ -240,8 +240,8 @@ def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
             retuned=np.array([1.0, 2.0]), after=[1.0, 1.0], floor=[0.5, np.nan],
             free_before=[1.0, 1.0], free_after=np.array([0.5, 0.5])),
         named=(finding,),
-        models=(Credible((('backlash', 'joint2'),), 0.99),),
-        noise=(Noise('joint1', 'motor', 0.003, 0.001, 'white'),))
+        searched=Searched((Credible((('backlash', 'joint2'),), 0.99),)),
+        data=Recorded(noise=(Noise('joint1', 'motor', 0.003, 0.001, 'white'),)))
     found = try_job(Job('deleted', 1, duration=8.0), with_peers=False)
     recordings, robot, options = workflow.asked[0]
     assert len(recordings) == 1 and robot.effects == ()

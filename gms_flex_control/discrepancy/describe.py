@@ -129,8 +129,8 @@ def paragraph(result, unseen=(), known_off=None) -> tuple:
                          f'{100.0 * left:.0f} % remains unexplained.'}[result.verdict], True))
     parts.append((_gap(result), False))
     more = [*_noise(result)]
-    if result.recordings:
-        more.append(f'Different from the first recording: {"; ".join(result.recordings)}.')
+    if result.data.differences:
+        more.append(f'Different from the first recording: {"; ".join(result.data.differences)}.')
     if unseen:
         lost = [name for name in names() if find(name).needs_link_encoder]
         more.append(f'No link encoder of {", ".join(unseen)} was recorded: the link angle is '
@@ -206,7 +206,7 @@ def _gap(result):
 
 def _noise(result):
     """Yield a sentence on the torque noise of the recordings, if it matters."""
-    shown = [of_noise(one) for one in result.noise if one.equation == 'motor'
+    shown = [of_noise(one) for one in result.data.noise if one.equation == 'motor'
              or one.rms > 0.0 and result.verdict == COMPLETE]
     if shown:
         yield f'Torque noise of the recording: {"; ".join(shown)}.'

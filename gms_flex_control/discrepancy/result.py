@@ -148,6 +148,23 @@ class Behind(NamedTuple):
     written: object     # Fitted: the model as returned
 
 
+class Searched(NamedTuple):
+    """What the search for effects came by."""
+
+    models: tuple = ()     # of Credible, the likeliest first
+    tried: tuple = ()      # of Tried, the first scan
+    seconds: float = 0.0   # time it took
+
+
+class Recorded(NamedTuple):
+    """What is said of the recordings themselves."""
+
+    sources: tuple = ()      # of str
+    faults: tuple = ()       # of str, what is wrong with them
+    differences: tuple = ()  # of str: what is particular about one, beyond its prior
+    noise: tuple = ()        # of Noise
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Discrepancy:
     """Everything that is reported about a model and its recordings."""
@@ -156,18 +173,13 @@ class Discrepancy:
     findings: tuple = ()      # of Finding that matter: those in ``robot`` first, the largest first
     minor: tuple = ()         # of Finding that are small
     stand_ins: tuple = ()     # of EffectSpec in ``robot`` that only resemble what is missing
-    models: tuple = ()        # of Credible, the likeliest first
-    noise: tuple = ()         # of Noise of the recordings
     unexplained: Signature | None = None  # what is left, where it matters
     learned: tuple = ()       # of LearnedTerm of ``robot``, where that was asked for
     gap: Gap | None = None    # None where the data are bad
     robot: object = None      # RobotParams: re-tuned, with what improves prediction
     retuned: tuple = ()       # of (known parameter, joint, relative change)
-    recordings: tuple = ()    # of str: what is particular about one, beyond its prior
-    tried: tuple = ()         # of Tried, the first scan
-    faults: tuple = ()        # of str, what is wrong with the data
-    sources: tuple = ()       # of str, the recordings
-    seconds: float = 0.0      # time it took
+    searched: Searched = Searched()
+    data: Recorded = Recorded()
     words: str = ''           # one paragraph
     details: str = ''         # what of it the answer of the command line leaves out
     behind: Behind | None = None  # the search, for figures

@@ -34,6 +34,8 @@ from gms_flex_control.discrepancy.result import (
     Credible,
     Discrepancy,
     FOUND,
+    Recorded,
+    Searched,
     Tried,
     UNEXPLAINED,
 )
@@ -110,7 +112,9 @@ def find_discrepancy(
                                robot, options, say)
         if faults:
             result = result.saying(f'About the data: {describe.first_of(faults, 2)}')
-    return replace(result, faults=faults, sources=sources, seconds=time.monotonic() - begun)
+    return replace(
+        result, data=result.data._replace(faults=faults, sources=sources),
+        searched=result.searched._replace(seconds=time.monotonic() - begun))
 
 
 def _compared(motions, holdout, robot, options, say):
@@ -154,16 +158,17 @@ def _result(likelihood, found, searched, after, findings, left, gap):
         verdict=(FOUND if any(one.key in added for one in main)
                  else UNEXPLAINED if left or main else COMPLETE),
         findings=tuple(main), minor=tuple(one for one in findings if not one.main),
-        models=tuple(Credible(tuple(sorted(names)), mass) for names, mass in credible(
-            posterior(doubted(found.tried, searched.tried, known), known))),
+        searched=Searched(tuple(Credible(tuple(sorted(names)), mass) for names, mass in credible(
+            posterior(doubted(found.tried, searched.tried, known), known))), _tried(found)),
         stand_ins=tuple(spec for spec in after.model.robot.effects[known:]
                         if (spec.name, spec.joint) not in named),
-        noise=() if left else noise_of(likelihood, found.best.model), unexplained=left, gap=gap,
-        tried=_tried(found),
+        unexplained=left, gap=gap,
         retuned=tuple((one.name, joints[one.joint] if one.joint >= 0 else 'arm', value)
                       for one, value in changes if not isinstance(one, OfRecording)),
-        recordings=tuple(one.words(joints, value) for one, value in changes
-                         if isinstance(one, OfRecording) and one.is_reported(value)),
+        data=Recorded(
+            differences=tuple(one.words(joints, value) for one, value in changes
+                              if isinstance(one, OfRecording) and one.is_reported(value)),
+            noise=() if left else noise_of(likelihood, found.best.model)),
         behind=Behind(likelihood, found.before.model, found.best.model, after.model),
         robot=with_nuisances(after.model.robot, likelihood.nuisances, after.model.x))
 

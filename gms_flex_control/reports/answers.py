@@ -165,15 +165,15 @@ def _identified(identification, worst):
 def discrepancy_answer(result, folder) -> Answer:
     """Return what the model lacks and how much closer it came (Answer); robot.yaml in a folder."""
     if result.gap is None:
-        return Answer(result.faults[0] if result.faults else result.words, (), (),
-                      command('info', *result.sources))
+        return Answer(result.data.faults[0] if result.data.faults else result.words, (), (),
+                      command('info', *result.data.sources))
     torque, angle = gap_numbers(result.gap)
     numbers = [torque[0], angle[0], *_values(result), *torque[1:], *angle[1:]]
     if not result.is_open:
-        after = ('identify', *result.sources, '--robot', Path(folder) / 'robot.yaml', '--out',
+        after = ('identify', *result.data.sources, '--robot', Path(folder) / 'robot.yaml', '--out',
                  Path(folder) / 'friction')
     elif not result.learned:
-        after = ('discrepancy', *result.sources, '--robot', Path(folder) / 'robot.yaml',
+        after = ('discrepancy', *result.data.sources, '--robot', Path(folder) / 'robot.yaml',
                  '--learn', '--out', Path(folder) / 'learned')
     else:
         after = 'simulate', '--robot', Path(folder) / 'robot.yaml', '--out', 'simulated'

@@ -35,7 +35,7 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=(), becomes=N
     """
     folder = Path(folder)
     report = Report(TITLES[result.verdict], discrepancy_answer(result, becomes or folder),
-                    ', '.join(result.sources), units_of(result))
+                    ', '.join(result.data.sources), units_of(result))
     pictures = add_discrepancy(report, result, folder, holdout=holdout, models=models)
     return [report.write(folder / 'report.html'), *pictures]
 
@@ -90,8 +90,8 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
 def _add_summary(report, result):
     report.heading('In words')
     report.note(result.words, warning=result.verdict in (BAD_DATA, UNEXPLAINED))
-    report.text(f'Found in {result.seconds:.1f} s.')
-    for text in result.faults:
+    report.text(f'Found in {result.searched.seconds:.1f} s.')
+    for text in result.data.faults:
         report.note(text, warning=True)
     if result.gap is not None:
         report.heading('The gap')
@@ -112,10 +112,10 @@ def _add_rest_and_noise(report, result):
                 gap.joints, gap.rest_before, gap.rest_after, strict=True)],
             'Residual torque at rest, rms: friction at rest can have any value up to break-away, '
             'so no decision rests on these figures')
-    if result.noise:
+    if result.data.noise:
         report.heading('Torque noise of the recordings')
         report.table(('where', 'size and colour'),
-                     [describe.of_noise(one).split(': ', 1) for one in result.noise],
+                     [describe.of_noise(one).split(': ', 1) for one in result.data.noise],
                      'In addition to encoder noise; the likelihood accounts for it')
 
 
@@ -133,11 +133,11 @@ def _add_findings(report, result, evidence, picture, first):
             'Probability: of all models with the effect. Held-out gain: of log likelihood on '
             'blocks of time left out of the fit, and in standard errors over the blocks in which '
             'the effect acts')
-    sets = [set(model.effects) for model in result.models]
+    sets = [set(model.effects) for model in result.searched.models]
     common = set.intersection(*sets) if sets else set()
     report.table(('effects', 'probability'), [
         (_names(own - common) or ('no other' if common else 'none'), f'{model.probability:.3f}')
-        for own, model in zip(sets, result.models, strict=True)],
+        for own, model in zip(sets, result.searched.models, strict=True)],
         'The credible set: the fewest models that hold 95 % of the probability'
         + (f'. All of them have {_names(common)}; beside these:' if common else ''))
     for i, (finding, shown) in enumerate(zip(findings, evidence, strict=False)):
@@ -276,7 +276,7 @@ def _add_tables(report, result, models):
                      'of null simulations')
     report.table(('effect', 'joint', 'score'),
                  [(one.effect, one.joint, ('' if one.bounded else 'at most ') + f'{one.score:.4g}')
-                  for one in result.tried],
+                  for one in result.searched.tried],
                  'First scan: decrease of -2 log likelihood with each effect alone and known '
                  'parameters re-tuned; except for the best effects, parameters are not bounded')
     joints = list(dict.fromkeys(joint for _, joint, _ in result.retuned))

@@ -29,26 +29,26 @@ def report_values(result, *, holdout=(), models=()) -> dict:
     joints = result.gap.joints if result.gap is not None else ()
     return plain({
         'format': REPORT_FORMAT, 'version': __version__, 'verdict': result.verdict,
-        'words': result.words, 'sources': result.sources, 'holdout': holdout,
-        'seconds': result.seconds, 'faults': result.faults,
+        'words': result.words, 'sources': result.data.sources, 'holdout': holdout,
+        'seconds': result.searched.seconds, 'faults': result.data.faults,
         'findings': [_finding_values(finding, joints) | {'added': finding in result.added}
                      for finding in result.findings],
         'minor': [_finding_values(finding, joints) for finding in result.minor],
         'credible': [{'effects': [{'effect': effect, 'joint': joint} for effect, joint in
                                   model.effects], 'probability': model.probability}
-                     for model in result.models],
+                     for model in result.searched.models],
         'stand_ins': [{'effect': one.name, 'joint': one.joint, 'values': list(one.values)}
                       for one in result.stand_ins],
-        'noise': [one._asdict() for one in result.noise],
+        'noise': [one._asdict() for one in result.data.noise],
         'unexplained': result.unexplained._asdict() if result.unexplained else None,
         'learned': [{'effect': one.effect, 'joint': one.joint, 'formula': one.formula,
                      'error': one.error, 'effective_parameters': one.freedom,
                      'nats': one.held_out.nats} for one in result.learned],
         'gap': _gap_values(result.gap) if result.gap is not None else None,
-        'recordings': list(result.recordings),
+        'recordings': list(result.data.differences),
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
                     for name, joint, change in result.retuned],
-        'tried': [one._asdict() for one in result.tried],
+        'tried': [one._asdict() for one in result.searched.tried],
         'dependences': [over_values(one) for one in over_of(result)],
         'models': [{'model': one.name, 'missing': one.missing,
                     'missing_retuned': one.missing_retuned} | {
@@ -99,7 +99,7 @@ def over_bags_values(result) -> dict:
     """Return what is compared of Discrepancies of several bags, as plain data."""
     gap = result.gap
     return plain({
-        'reason': '; '.join(result.faults) or result.words if result.gap is None else None,
+        'reason': '; '.join(result.data.faults) or result.words if result.gap is None else None,
         'verdict': result.verdict, 'words': result.words,
         **{name: [f'{one.effect} of {one.joint}' for one in found] for name, found in (
             ('effects', result.findings), ('minor', result.minor))},
@@ -123,7 +123,7 @@ def write_robot(result, path) -> None:
 
 def _comment(result):
     lines = [f'What gms_flex discrepancy {__version__} made of a robot file and of '
-             f'{", ".join(result.sources)}.', f'Verdict: {result.verdict}.']
+             f'{", ".join(result.data.sources)}.', f'Verdict: {result.verdict}.']
     for heading, findings in (('Effects that were missing', result.added),
                               ('Found, but not added', result.not_added),
                               ('Small effects', result.minor)):
