@@ -25,6 +25,7 @@ from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.result import UNEXPLAINED
+from gms_flex_control.discrepancy.samples import samples_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.errors import ConfigError
@@ -224,42 +225,41 @@ def free_runs(recording, robot, peer=None):
     measured. Blocks of friction begin unloaded; a peer's torque is that of the state simulated,
     held over a sample.
     """
-    motion = measured.motion_of(recording, robot)
-    horizon, stride = (max(round(one / motion.fine_period), 2) for one in (HORIZON, STRIDE))
-    begins = np.arange(stride, len(motion.fine_time) - horizon, stride)
+    samples = samples_of(recording, robot)
+    horizon, stride = (max(round(one / samples.period), 2) for one in (HORIZON, STRIDE))
+    begins = np.arange(stride, len(samples.time) - horizon, stride)
     squares, fastest = np.zeros(len(begins)), 0.0
-    for k, (angle, _) in enumerate(_simulated(motion, robot, begins, horizon, peer)):
-        squares += (motion.readings[begins + k, 0, 0] - angle) ** 2
-    largest = np.abs(motion.fine_states[:, 1, 0]).max()
-    for _, rate in _simulated(motion, robot, begins[:1], round(LONG / motion.fine_period), peer):
+    for k, (angle, _) in enumerate(_simulated(samples, robot, begins, horizon, peer)):
+        squares += (samples.readings[begins + k, 0, 0] - angle) ** 2
+    largest = np.abs(samples.states[:, 1, 0]).max()
+    for _, rate in _simulated(samples, robot, begins[:1], round(LONG / samples.period), peer):
         fastest = max(fastest, float(np.nan_to_num(abs(rate[0]), nan=np.inf)))
         if fastest > _GONE * largest:
             break
     return np.sqrt(squares / horizon), fastest / largest
 
 
-def _simulated(motion, robot, begins, steps, peer):
+def _simulated(samples, robot, begins, steps, peer):
     """Yield angles and rates (B,) at each of so many steps of runs that begin at samples (B,)."""
     constants, work = plant.constants_of(robot), plant.workspace(1)
     states = [fresh_state(constants) for _ in begins]
     for state, k in zip(states, begins, strict=True):
         for row, name in enumerate(('q_link', 'dq_link', '', 'q_motor', 'dq_motor')):
             if name:
-                state[name][:] = motion.fine_states[k, row]
+                state[name][:] = samples.states[k, row]
     for step in range(steps):
         angle, rate = (np.array([state[name][0] for state in states])
                        for name in ('q_link', 'dq_link'))
         yield angle, rate
-        at = (begins + step) % len(motion.command)
-        pushed = np.zeros(len(begins)) if motion.pushed is None else motion.pushed[at, 0]
+        at = (begins + step) % len(samples.command)
+        pushed = np.zeros(len(begins)) if samples.pushed is None else samples.pushed[at, 0]
         if peer is not None:  # what the drive gives too little
             pushed = pushed - peer.of(np.nan_to_num(inputs_of(
                 angle, rate, peer.usual), posinf=1e9, neginf=-1e9))
         for i, state in enumerate(states):
             work.outside[:] = pushed[i]
-            plant.advance(state, motion.command[at[i]], motion.fine_time[at[i]],
-                          motion.fine_period, max(1, round(motion.fine_period / _STEP)),
-                          constants, work)
+            plant.advance(state, samples.command[at[i]], samples.time[at[i]], samples.period,
+                          max(1, round(samples.period / _STEP)), constants, work)
 
 
 def free_error(recordings, robot, peer=None):

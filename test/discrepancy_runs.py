@@ -11,6 +11,7 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
+from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 import numpy as np
 
@@ -24,17 +25,18 @@ def driven_motion(robot, gains, seed=0, duration=20.0):
     time = np.arange(round(duration / 2e-3)) * 2e-3
     reference = motions.draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
     run = truth.simulate(robot, replace(robot, effects=()), gains, reference, seed=seed)
-    return make_motion(robot.joints, time, 2e-3, np.ascontiguousarray(run.measured[:, [0, 2]]),
-                       run.command, np.zeros(len(time)), True, 'a hidden robot')
+    return make_motion(make_samples(
+        robot.joints, time, 2e-3, np.ascontiguousarray(run.measured[:, [0, 2]]), run.command,
+        np.zeros(len(time)), True, 'a hidden robot'))
 
 
 def rigid_motion(inertia=0.02, motor_inertia=0.0):
     """Return a rigid axis without friction, and a Motion of 0.8 s."""
     robot = single_axis(FRICTIONLESS, inertia, motor_inertia=motor_inertia)
     time = np.arange(200) * 4e-3
-    return robot, make_motion(
+    return robot, make_motion(make_samples(
         robot.joints, time, 4e-3, np.repeat(np.sin(time)[:, None, None], 2, axis=1),
-        np.cos(time)[:, None], np.zeros(200), True, 'sine')
+        np.cos(time)[:, None], np.zeros(200), True, 'sine'))
 
 
 def likelihood_of(case, **options):

@@ -13,6 +13,7 @@ from gms_flex_control.discrepancy.residuals import (
     drive_torque,
     unexplained,
 )
+from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.dynamics import chain
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import EffectSpec
@@ -91,8 +92,9 @@ def test_a_late_encoder_is_cleared_where_its_motor_is_quick(ideal_robot):
         EffectSpec(name='encoder_skew', joint=joint, values=(delay,))
         for joint in ideal_robot.joints))
     readings = np.repeat(late[:, :, None], robot.n_joints, axis=2)
-    motion = make_motion(robot.joints, time, 1e-3, readings, np.zeros((2000, robot.n_joints)),
-                         np.zeros(2000), True, 'a tone')
+    motion = make_motion(make_samples(
+        robot.joints, time, 1e-3, readings, np.zeros((2000, robot.n_joints)), np.zeros(2000),
+        True, 'a tone'))
     constants = plant.constants_of(robot)
     states, second = cleared(motion, drive_torque(motion, constants), motion.states,
                              motion.second, constants)

@@ -110,13 +110,13 @@ def test_a_saturation_takes_all_that_is_beyond_its_limit(robot, gains):
                                                values=(limit,)))
     whole, free = (driven_motion(one, gains, seed=1, duration=10.0)
                    for one in (saturation, robot))
-    asked = free.command.copy()
+    asked = free.samples.command.copy()
     asked[:, 1] += asked[:, 1] - np.clip(asked[:, 1], -limit, limit)
     for motion, half in ((whole, False), (free.with_torque(asked), True)):
         likelihood = Likelihood([motion], robot)
         model = likelihood.fitted(saturation, np.zeros(len(likelihood.sd)))
         columns = extended(likelihood, model, retuned_of(likelihood)[1])
-        assert np.mean(np.abs(motion.command[:, 1]) > limit) > 0.05
+        assert np.mean(np.abs(motion.samples.command[:, 1]) > limit) > 0.05
         assert is_of_other_size(likelihood, model, columns, 50) == half
 
 

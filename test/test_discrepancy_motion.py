@@ -9,9 +9,10 @@ from bench.hidden_robots.plants import draw_belief, draw_robot
 from core_runs import single_axis
 from discrepancy_runs import FRICTIONLESS
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.discrepancy.motion import make_motion, mean_held, standing
+from gms_flex_control.discrepancy.motion import make_motion, standing
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
+from gms_flex_control.discrepancy.samples import make_samples, mean_held
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
@@ -32,8 +33,9 @@ def test_a_held_torque_and_the_second_difference_of_the_angle_agree_exactly(peri
     angle = np.concatenate([[0.0], np.cumsum(step[:-1])])
     readings = np.repeat(angle[:, None, None], 2, axis=1)
     robot = single_axis(FRICTIONLESS, inertia)
-    motion = make_motion(robot.joints, np.arange(2000) * period, period, readings, command,
-                         np.zeros(2000), True, 'parabola')
+    motion = make_motion(make_samples(
+        robot.joints, np.arange(2000) * period, period, readings, command, np.zeros(2000), True,
+        'parabola'))
     assert motion.factor == factor
     left = unexplained(motion, plant.constants_of(robot))[4:-4]
     np.testing.assert_allclose(left, 0.0, atol=1e-13 * np.ptp(angle) * inertia / period ** 2)

@@ -12,6 +12,7 @@ from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
@@ -32,8 +33,8 @@ def test_a_null_simulation_belongs_to_its_model_whatever_the_recording_held(idea
         for one in (motion, again))
     assert before[0] > 3e-3 and before[3] > 9e-3
     assert np.all(after < 0.1 * before.max())
-    assert np.abs(again.readings - motion.readings)[:, 1].max() < 0.02
-    assert np.ptp(motion.readings[:, 1], axis=0).min() > 0.4
+    assert np.abs(again.samples.readings - motion.samples.readings)[:, 1].max() < 0.02
+    assert np.ptp(motion.samples.readings[:, 1], axis=0).min() > 0.4
 
 
 @pytest.mark.parametrize('inertia', [0.11, 0.01, 0.0])
@@ -46,10 +47,11 @@ def test_a_rigid_axis_is_held_on_its_motion_wherever_its_inertia_stands(inertia)
     time = np.arange(2500) * 2e-3
     angle = 0.3 * np.sin(np.pi * time)
     command = 0.125 * np.sign(np.cos(np.pi * time)) - 0.11 * np.pi ** 2 * angle
-    motion = make_motion(robot.joints, time, 2e-3, np.repeat(angle[:, None, None], 2, axis=1),
-                         command[:, None], np.zeros(len(time)), True, 'sine')
+    motion = make_motion(make_samples(
+        robot.joints, time, 2e-3, np.repeat(angle[:, None, None], 2, axis=1), command[:, None],
+        np.zeros(len(time)), True, 'sine'))
     again = null_simulation(motion, plant.constants_of(robot), np.random.default_rng(0))
-    assert np.abs(again.readings - motion.readings).max() < 1e-3
+    assert np.abs(again.samples.readings - motion.samples.readings).max() < 1e-3
 
 
 @pytest.mark.parametrize(('seed', 'gravity'), [(7, True), (10, True), (10, False)])

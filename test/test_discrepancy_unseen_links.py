@@ -10,13 +10,14 @@ from bench.hidden_robots.cases import make_case
 from discrepancy_runs import likelihood_of, retuned_of
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.discrepancy.likelihood import with_effect
-from gms_flex_control.discrepancy.motion import motion_of, with_links
+from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import (
     drive_torque,
     motion_as_modelled,
     unexplained,
 )
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
+from gms_flex_control.discrepancy.samples import with_links
 from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import find
@@ -87,9 +88,9 @@ def test_a_spring_that_stiffens_puts_the_link_where_its_encoder_saw_it():
 def test_links_that_have_encoders_are_taken_from_them():
     case = make_case('clean', 3, duration=20.0)
     motion = motion_of(blind(case.recording, [1]), case.nominal)
-    assert [link.joint for link in motion.unseen] == [1]
-    assert motion_of(case.recording, case.nominal).unseen == ()
-    np.testing.assert_allclose(motion.readings[:, 0, 0], case.recording.q_link[:, 0])
+    assert [link.joint for link in motion.samples.unseen] == [1]
+    assert motion_of(case.recording, case.nominal).samples.unseen == ()
+    np.testing.assert_allclose(motion.samples.readings[:, 0, 0], case.recording.q_link[:, 0])
 
 
 def test_a_clean_robot_is_complete_and_it_is_said_what_is_lost():

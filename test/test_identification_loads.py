@@ -128,10 +128,11 @@ def test_discrepancy_takes_the_load_from_the_recording(hidden):
         heavy.tau_motor - OFFSET) / SCALE, q_link=heavy.q_link - ZERO)
     constants, motion = plant.constants_of(given), motion_of(true, given)
     left, bare = (np.sqrt(np.mean(unexplained(one, constants)[200:-200, :6] ** 2, axis=0))
-                  for one in (motion, replace(motion, load=None)))
+                  for one in (motion, replace(motion, samples=replace(
+                      motion.samples, load=None))))
     assert np.all(left[1:] < 0.3 * bare[1:]), (left, bare)  # the first joint is vertical
     again = null_simulation(motion, constants, np.random.default_rng(0))
-    assert again.load is motion.load
+    assert again.samples.load is motion.samples.load
 
 
 @pytest.mark.parametrize(('changed', 'sentence'), [

@@ -82,7 +82,8 @@ def ask_workflow(case, without):
                 'confusable_with': list(map(str, one.confusable_with))}
                 for one in result.named],
             'models': [{'effects': [list(one) for one in model.effects],
-                        'probability': float(model.probability)} for model in result.searched.models],
+                        'probability': float(model.probability)}
+                       for model in result.searched.models],
             'noise': [one._asdict() for one in result.data.noise]}, result
 
 

@@ -123,9 +123,9 @@ def mujoco_runs(motion: Motion, robot: RobotParams, mjcf: str) -> tuple[np.ndarr
     import mujoco
     model = mujoco.MjModel.from_xml_string(mjcf)
     led, free = mujoco.MjData(model), mujoco.MjData(model)
-    period, step = motion.fine_period, model.opt.timestep
+    period, step = motion.samples.period, model.opt.timestep
     horizon, stride = round(HORIZON / period), round(STRIDE / period)
-    starts = range(stride, len(motion.fine_time) - horizon, stride)
+    starts = range(stride, len(motion.samples.time) - horizon, stride)
     sides = [[model.joint(name).qposadr[0] for name in names] for names in (
         robot.joints, [motor or joint for joint, motor in zip(
             robot.joints, robot.motors, strict=True)])]
@@ -133,16 +133,16 @@ def mujoco_runs(motion: Motion, robot: RobotParams, mjcf: str) -> tuple[np.ndarr
     ahead = 0.5 * step                # positions of semi-implicit Euler lead by half a step
     for k in range(starts[-1] + 1):   # what yields, lags and waits follows the measured motion
         for side, rows in zip(sides, (slice(0, 2), slice(3, 5)), strict=True):
-            angle, rate = motion.fine_states[k, rows]
+            angle, rate = motion.samples.states[k, rows]
             led.qpos[side], led.qvel[side] = angle + ahead * rate, rate
         if k in starts:
             mujoco.mj_copyData(free, model, led)
             for i in range(horizon):
                 place = free.qpos - ahead * free.qvel
                 out[:, starts.index(k), i] = place[sides]
-                free.ctrl = motion.command[k + i]
+                free.ctrl = motion.samples.command[k + i]
                 mujoco.mj_step(model, free, round(period / step))
-        led.ctrl = motion.command[k]
+        led.ctrl = motion.samples.command[k]
         mujoco.mj_step(model, led, round(period / step))
     rows = np.array(starts)[:, None] + np.arange(horizon)
-    return motion.readings[rows, 0] - out[0], motion.readings[rows, 1] - out[1]
+    return motion.samples.readings[rows, 0] - out[0], motion.samples.readings[rows, 1] - out[1]

@@ -6,9 +6,9 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.motion import supply_voltage
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.result import Discrepancy
+from gms_flex_control.discrepancy.samples import supply_voltage
 from gms_flex_control.errors import BagError
 from gms_flex_control.simulation.loop import Loop
 import numpy as np

@@ -82,6 +82,6 @@ def free_runs_of(behind, holdout=()) -> FreeRuns:
         error[~all_known(motion, starts)] = np.nan  # a hole in the angles
         error[:, -1] = np.nan  # lifts the pen before the next start
         errors.append(error.reshape(-1, link.shape[2]))
-    time = (starts[:, None] - motion.fine_time[0]
-            + motion.fine_period * np.arange(link.shape[1]))[:, ::step]
+    time = (starts[:, None] - motion.samples.time[0]
+            + motion.samples.period * np.arange(link.shape[1]))[:, ::step]
     return FreeRuns(motion, time.ravel(), *errors)

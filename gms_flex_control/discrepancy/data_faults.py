@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from gms_flex_control.discrepancy.motion import has_commands, held, with_links
+from gms_flex_control.discrepancy.samples import has_commands, held, with_links
 from gms_flex_control.identification import sampling_checks
 from gms_flex_control.identification.check_basis import absent_joints
 from gms_flex_control.identification.recording_checks import check

@@ -77,7 +77,7 @@ def guesses_of(likelihood, excluded=(), fine=None, only=None) -> list:
 
     """
     robot, found = likelihood.robot, []
-    commanded = all(motion.commanded for motion in likelihood.motions)
+    commanded = all(motion.samples.commanded for motion in likelihood.motions)
     for name in sorted(set(names()).difference(excluded)):
         kind = find(name)
         if (kind.needs_commands and not commanded

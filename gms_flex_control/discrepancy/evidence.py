@@ -126,7 +126,7 @@ def stiffness_along(motion, constants) -> np.ndarray:
         motion.states, motion.drive, motion.time))
     torque = np.empty_like(drive)
     spring_torques(states, drive, time, motion.period * every, constants,
-                   fresh_state(constants), plant.workspace(len(motion.joints)), torque)
+                   fresh_state(constants), plant.workspace(len(motion.samples.joints)), torque)
     torsion = states[:, 3] - states[:, 0]
     torsion = torsion - torsion.mean(axis=0)
     return np.sum(torque * torsion, axis=0) / np.maximum(np.sum(torsion ** 2, axis=0), 1e-300)

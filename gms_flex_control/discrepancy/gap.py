@@ -209,7 +209,7 @@ def _free_squares(likelihood, parts, motions=None):
                 motions or likelihood.recorded(likelihood.motions, x), likelihood.whitenings,
                 masks, strict=True):
             starts, link, motor = free_runs(motion, constants)
-            at = np.clip(np.searchsorted(whitening.time, starts - motion.fine_time[0]), 0,
+            at = np.clip(np.searchsorted(whitening.time, starts - motion.samples.time[0]), 0,
                          len(mask) - 1)
             kept = mask[at] & all_known(motion, starts)
             link, motor = (np.clip(np.nan_to_num(one[kept], nan=_FARTHEST), -_FARTHEST, _FARTHEST)
@@ -291,23 +291,24 @@ def free_runs(motion, constants) -> tuple:
         Measured minus simulated angles [rad]; of a link that is unseen, its motor's.
 
     """
-    period, n = motion.fine_period, len(motion.joints)
+    samples = motion.samples
+    period, n = samples.period, len(samples.joints)
     horizon = max(round(HORIZON / period), 2)
-    starts = np.arange(round(STRIDE / period), len(motion.fine_time) - horizon,
+    starts = np.arange(round(STRIDE / period), len(samples.time) - horizon,
                        max(round(STRIDE / period), 1))
-    states, readings = motion.fine_states, motion.readings
-    if acts(constants, SENSOR) or motion.unseen:
+    states, readings = samples.states, samples.readings
+    if acts(constants, SENSOR) or samples.unseen:
         states, readings = _as_modelled(motion, constants)
     link, motor = np.empty((2, len(starts), horizon, n))
-    pushed = np.zeros_like(motion.command) if motion.pushed is None else motion.pushed
-    run_freely(states, motion.command, pushed, motion.supply, motion.fine_time, period,
+    pushed = np.zeros_like(samples.command) if samples.pushed is None else samples.pushed
+    run_freely(states, samples.command, pushed, samples.supply, samples.time, period,
                max(1, round(period / _STEP)), starts, horizon, constants, fresh_state(constants),
                fresh_state(constants), plant.workspace(n), link, motor)
     rows = starts[:, None] + np.arange(horizon)
     link, motor = readings[rows, 0] - link, readings[rows, 1] - motor
-    for unseen in motion.unseen:
+    for unseen in samples.unseen:
         link[..., unseen.joint] = motor[..., unseen.joint]
-    return motion.fine_time[starts], link, motor
+    return samples.time[starts], link, motor
 
 
 def _as_modelled(motion, constants):
@@ -315,10 +316,11 @@ def _as_modelled(motion, constants):
     drive = drive_torque(motion, constants)
     states, second = motion_as_modelled(motion, constants, drive)
     off = motion.states - cleared(motion, drive, states, second, constants)[0]
-    fine = np.stack([[np.interp(motion.fine_time, motion.time, off[:, i, j])
+    samples = motion.samples
+    fine = np.stack([[np.interp(samples.time, motion.time, off[:, i, j])
                       for j in range(off.shape[2])] for i in range(6)])
     fine = np.moveaxis(fine, 2, 0)
-    return np.ascontiguousarray(motion.fine_states - fine), motion.readings - fine[:, [0, 3]]
+    return np.ascontiguousarray(samples.states - fine), samples.readings - fine[:, [0, 3]]
 
 
 def all_known(motion, starts) -> np.ndarray:

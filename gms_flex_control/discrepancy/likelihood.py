@@ -183,9 +183,9 @@ class Likelihood:
         """
         motion, n = self.motions[m], self.robot.n_joints
         size = np.broadcast_to(self.noise[m] if size is None else size, 2 * n)
-        drawn = size * rng.standard_normal((len(motion.fine_time), 2 * n))
-        unseen = [link.joint for link in motion.unseen]
-        computed = np.zeros((len(motion.fine_time), n))
+        drawn = size * rng.standard_normal((len(motion.samples.time), 2 * n))
+        unseen = [link.joint for link in motion.samples.unseen]
+        computed = np.zeros((len(motion.samples.time), n))
         computed[:, unseen], drawn[:, unseen] = drawn[:, unseen], 0.0
         return np.concatenate([motion.through_filter(drawn[:, :n]),
                                motion.through_filter(drawn[:, n:])],
@@ -199,7 +199,7 @@ class Likelihood:
         # small, so that friction along the links is nearly linear in it
         share, motion = PRACTICAL_FLOOR / largest, self._null.pair[0][m]
         constants = self.constants(self._null.robot, self._null.x)
-        return (unexplained(motion.with_torque(motion.command + share * torque), constants)
+        return (unexplained(motion.with_torque(motion.samples.command + share * torque), constants)
                 - unexplained(motion, constants)) / share
 
     # --- likelihood --------------------------------------------------------------------------
@@ -303,8 +303,8 @@ class Likelihood:
         motions = self.recorded(motions, x)
         for spec in robot.effects:
             kind = find(spec.name)
-            shifted = [kind.torque_acted(motion.command, motion.fine_period, spec.values)
-                       for motion in motions]
+            shifted = [kind.torque_acted(one.command, one.period, spec.values)
+                       for one in (motion.samples for motion in motions)]
             if shifted[0] is None:
                 acting.append(spec)
             else:  # exact, where the errors of angles that it is in the plant are not
@@ -411,7 +411,8 @@ class Likelihood:
     @property
     def unseen(self) -> set[str]:
         """Return the joints whose links have no encoder, set of str."""
-        return {motion.joints[link.joint] for motion in self.motions for link in motion.unseen}
+        return {motion.samples.joints[link.joint] for motion in self.motions
+                for link in motion.samples.unseen}
 
     def level_of(self, joint) -> float:
         """Return Coulomb friction of a joint, the least of all for the whole arm [N m]."""

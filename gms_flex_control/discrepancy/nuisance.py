@@ -119,24 +119,25 @@ class OfRecording(NamedTuple):
         size, j = value * self.unit, self.joint
         if self.name == 'zero_of_recording':
             states, fine, readings = (one.copy() for one in (
-                motion.states, motion.fine_states, motion.readings))
+                motion.states, motion.samples.states, motion.samples.readings))
             for angles in (states, fine, readings):
                 angles[:, 0, j] -= size
-            return replace(motion, states=states, fine_states=fine, readings=readings)
-        torque = motion.command.copy()
+            return replace(motion, states=states, samples=replace(
+                motion.samples, states=fine, readings=readings))
+        torque = motion.samples.command.copy()
         if self.name == 'torque_bias_of_recording':
             torque[:, j] -= size
         elif self.name == 'torque_scale_of_recording':
             torque[:, j] /= 1.0 + size
         else:  # held torques: a sample has the mean of what acted in it
-            torque[1:, j] += size * (motion.command[:-1, j] - motion.command[1:, j])
+            torque[1:, j] -= size * np.diff(motion.samples.command[:, j])
         return motion.with_torque(torque)
 
 
 def of_recordings(motions, robot) -> tuple:
     """Return the nuisance parameters of all recordings (Motions) but the first, tuple."""
     level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
-    unseen, found = {link.joint for motion in motions for link in motion.unseen}, []
+    unseen, found = {link.joint for motion in motions for link in motion.samples.unseen}, []
     for j in range(robot.n_joints):
         kinds = [('torque_bias_of_recording', level[j]), ('torque_scale_of_recording', 1.0),
                  ('delay_of_recording', 1.0)]

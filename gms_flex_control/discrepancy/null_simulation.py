@@ -20,9 +20,10 @@ from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import quantum
-from gms_flex_control.discrepancy.motion import encoder_step, make_motion, Motion
+from gms_flex_control.discrepancy.motion import make_motion, Motion
 from gms_flex_control.discrepancy.nuisance import OF_SHAPE
 from gms_flex_control.discrepancy.residuals import fresh_state
+from gms_flex_control.discrepancy.samples import encoder_step
 from gms_flex_control.discrepancy.whitening import Grams
 from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.effects import signals as sig
@@ -82,33 +83,31 @@ def null_simulation(motion, constants, rng) -> Motion:
         If the model runs away.
 
     """
-    constants = motion.carrying(constants)
-    links, n = constants.chain, len(motion.joints)
+    constants, samples = motion.carrying(constants), motion.samples
+    links, n = constants.chain, len(samples.joints)
     carried, motors = own_inertia(links)
     inertia = np.where(links.flexible, links.motor_inertia, carried + motors)
     own, bandwidth = carried * links.flexible, np.full(n, BANDWIDTH)
-    for link in motion.unseen:
+    for link in samples.unseen:
         own[link.joint] = 0.0
-        bandwidth[link.joint] = np.clip(_OF_RATE / motion.fine_period, BANDWIDTH, _ALONE)
+        bandwidth[link.joint] = np.clip(_OF_RATE / samples.period, BANDWIDTH, _ALONE)
     gains = np.stack([inertia * bandwidth ** 2, _DAMPED * inertia * bandwidth,
                       own * _OF_LINKS ** 2, _DAMPED * own * _OF_LINKS])
-    state, first = fresh_state(constants), motion.fine_states[0]
+    state, first = fresh_state(constants), samples.states[0]
     state.q_link[:], state.dq_link[:], state.q_motor[:], state.dq_motor[:] = first[[0, 1, 3, 4]]
-    held, pushed, link, motor = np.empty((4, *motion.command.shape))
-    simulate_along(motion.fine_states, motion.command, motion.supply, motion.fine_time,
-                   motion.fine_period, max(1, round(motion.fine_period / _STEP)), gains,
-                   constants, state, plant.workspace(n), held, pushed, link, motor)
+    held, pushed, link, motor = np.empty((4, *samples.command.shape))
+    simulate_along(samples.states, samples.command, samples.supply, samples.time, samples.period,
+                   max(1, round(samples.period / _STEP)), gains, constants, state,
+                   plant.workspace(n), held, pushed, link, motor)
     readings = np.stack([link, motor], axis=1)
     if not np.all(np.isfinite(readings)):
-        raise SimulationError(f'{motion.source}: the model runs away along the recorded motion; '
+        raise SimulationError(f'{samples.source}: the model runs away along the recorded motion; '
                               'its inertia, stiffness and friction are not those of this robot')
     for side in range(2):
         for j in range(n):
-            readings[:, side, j] = _read(readings[:, side, j], motion.readings[:, side, j],
-                                         motion.noise[side, j], rng)
-    made = make_motion(motion.joints, motion.fine_time, motion.fine_period, readings, held,
-                       motion.supply, motion.commanded, motion.source, motion.unseen)
-    return replace(made, known=motion.known, pushed=pushed, load=motion.load)
+            readings[:, side, j] = _read(readings[:, side, j], samples.readings[:, side, j],
+                                         samples.noise[side, j], rng)
+    return make_motion(samples.simulated(readings, held, pushed))
 
 
 def _read(angle, like, noise, rng):

@@ -49,7 +49,7 @@ def variables(motion, j) -> dict[str, np.ndarray]:
 def of_others(motion, j) -> dict[str, np.ndarray]:
     """Return where the other joints are and how fast: dict of str to (S,)."""
     return {f'{name} of {joint}': motion.states[:, place, k]
-            for k, joint in enumerate(motion.joints) if k != j
+            for k, joint in enumerate(motion.samples.joints) if k != j
             for place, name in enumerate(('link angle', 'link rate'))}
 
 

@@ -15,12 +15,8 @@ from functools import partial
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import derivatives, low_pass
-from gms_flex_control.discrepancy.motion import (
-    filtered_alike,
-    second_difference,
-    smoothing,
-    weight_of_neighbours,
-)
+from gms_flex_control.discrepancy.motion import filtered_alike, weight_of_neighbours
+from gms_flex_control.discrepancy.samples import second_difference, smoothing
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
@@ -196,8 +192,8 @@ def unexplained(motion, constants) -> np.ndarray:
     constants = motion.carrying(constants)
     drive = drive_torque(motion, constants)
     left, n = _residuals(motion, constants, drive, *motion_as_modelled(motion, constants, drive),
-                         _key_of_links(motion, constants)), len(motion.joints)
-    for link in motion.unseen:  # the motor equation has been used
+                         _key_of_links(motion, constants)), len(motion.samples.joints)
+    for link in motion.samples.unseen:  # the motor equation has been used
         left[:, link.joint] += left[:, n + link.joint]
         left[:, n + link.joint] = 0.0
     return left
@@ -209,7 +205,7 @@ def motion_as_modelled(motion, constants, drive) -> tuple:
 
     That is where its motor equation holds behind the low-pass, whatever it was begun with.
     """
-    if not motion.unseen:
+    if not motion.samples.unseen:
         return motion.states, motion.second
     return motion.once(_key_of_links(motion, constants), partial(
         _with_unseen_links, motion, constants, drive))
@@ -217,7 +213,7 @@ def motion_as_modelled(motion, constants, drive) -> tuple:
 
 def _key_of_links(motion, constants):
     """Return what distinguishes motions with unseen links, tuple of bytes."""
-    if not motion.unseen:
+    if not motion.samples.unseen:
         return ()
     key = _key(constants, (_ACTUATOR, _TORSION, _SPRING, _MOTOR), 'stiffness', 'damping',
                'motor_inertia')
@@ -229,14 +225,14 @@ def _with_unseen_links(motion, constants, drive):
     """Return motion (S, 6, n) and second differences (S, 2, n) with computed links."""
     states, second, before = motion.states, motion.second, None
     weight, shift = weight_of_neighbours(motion.factor), np.zeros_like(drive)
-    joints = [link.joint for link in motion.unseen]
+    joints = [link.joint for link in motion.samples.unseen]
     linear = not (acts(constants, _TORSION) or acts(constants, _SPRING))
     for _ in range(1 if linear else _CORRECTIONS):  # one is exact for a linear spring
         on_motor = _on_motors(motion, constants, drive, states, second)
         stiffness = _secant(before, on_motor, filtered_alike(shift, weight),
                             constants.chain.stiffness)
         before, states, second = on_motor, states.copy(), second.copy()
-        for link in motion.unseen:
+        for link in motion.samples.unseen:
             j = link.joint
             begun = states[:, 0, j]
             shift[:, j] = low_pass(
@@ -291,7 +287,7 @@ def _residuals(motion, constants, drive, states, second, way):
         ('carried', *way, *_key(constants, (), *_of_bodies(constants))), partial(
             inertial_torque, states, constants, work))
     out = _formed(motion, constants, drive, states, second, friction, bias, inertial, carried)
-    if motion.pushed is not None:
+    if motion.samples.pushed is not None:
         out[:, :drive.shape[1]] -= motion.push
     return out
 
@@ -350,9 +346,10 @@ def drive_torque(motion, constants) -> np.ndarray:
         return motion.drive
 
     def made():
-        applied = np.empty_like(motion.command)
-        mean_applied(motion.command, motion.supply, motion.fine_time, motion.fine_period,
-                     constants, fresh_state(constants), plant.workspace(len(motion.joints)),
+        samples = motion.samples
+        applied = np.empty_like(samples.command)
+        mean_applied(samples.command, samples.supply, samples.time, samples.period,
+                     constants, fresh_state(constants), plant.workspace(len(samples.joints)),
                      applied)
         return motion.through_filter(applied)
     return motion.once(('drive', *_key(constants, (_ACTUATOR,))), made)

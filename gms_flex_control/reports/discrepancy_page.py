@@ -233,14 +233,14 @@ def _add_free_runs(report, runs, left_out):
     report.heading('Simulated less measured motion')
     report.text(f'Every {HORIZON:g} s each model starts from the measured state and runs freely '
                 'under the recorded torque; nothing corrects it. Recording: '
-                f'{runs.motion.source}.')
-    for j in range(len(runs.motion.joints)):
+                f'{runs.motion.samples.source}.')
+    for j in range(len(runs.motion.samples.joints)):
         if j is not left_out:
             _add_free_run(report, runs, j)
 
 
 def _add_free_run(report, runs, j):
-    report.chart(f'{runs.motion.joints[j]}: free runs, simulated - measured', runs.time, [
+    report.chart(f'{runs.motion.samples.joints[j]}: free runs, simulated - measured', runs.time, [
         Series(name, 1e3 * values[:, j], role=role) for name, values, role in (
             (WITHOUT, runs.without, 'c1'), (WITH, runs.found, 'c0'))],
         y_label='angle [mrad]', group='free runs')
