@@ -235,6 +235,26 @@ def test_states_without_stamps_are_placed_by_receive_time(tmp_path):
     np.testing.assert_allclose(recording.time, np.arange(5) * 2e-3)
 
 
+def test_messages_without_stamps_among_others_change_nothing_of_these(tmp_path):
+    """A state is left out with a warning; a reference serves where none with a stamp is near."""
+    def reference(stamp, value):
+        return cdr.pack_reference(np.full((5, 2), [[value]] + [[0.0]] * 4), stamp)
+    stamps = 10_000_000_000 + PERIOD * np.arange(20)
+    states = [(stamp + 300_000, state(k, stamp=stamp)[1]) for k, stamp in enumerate(stamps)]
+    states.insert(7, (states[6][0] + 1, state(99, stamp=0)[1]))
+    references = [(stamp + 300_000, reference(stamp, float(k)))
+                  for k, stamp in enumerate(stamps[:15])]
+    references += [(stamp + 300_000, cdr.pack_multi_array(
+        [('derivative', 5, 10), ('joint', 2, 2)], [float(-k)] * 2 + [0.0] * 8))
+        for k, stamp in enumerate(stamps[15:], 15)]
+    path = write_bag(tmp_path / 'bag', states, references=references)
+    with pytest.warns(BagWarning, match='has 1 states without a stamp among others: left out'):
+        recording = read_recording(path)
+    np.testing.assert_array_equal(recording.q_link[:, 0], 9700.0 + np.arange(20))
+    np.testing.assert_allclose(recording.reference[:, 0, 0], [
+        *range(15), 14, *range(-16, -20, -1)], atol=1e-9)
+
+
 def test_repeated_stamps_are_taken_once_with_a_warning(tmp_path):
     path = write_bag(tmp_path / 'bag', [state(k) for k in (0, 2, 1, 1, 3)])
     with pytest.warns(BagWarning, match="topic '/joint_states' repeats 1 stamps"):

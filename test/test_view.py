@@ -152,7 +152,7 @@ def test_recorded_blocks_are_found_at_the_state_whose_stamp_they_carry(tmp_path,
     path = write_bag(tmp_path / 'bag', {
         f'{space}/cascade_controller/blocks': torque,
         f'{space}/cascade_controller/sticking': sticking}, late=7_000_000, space=space)
-    found = read_blocks(path, 0.01 * np.arange(100), 2)
+    found = read_blocks(path, 0.01 * np.arange(100), 5_000_000_000, 2)
     np.testing.assert_array_equal(found[0], torque)
     np.testing.assert_array_equal(found[1], sticking)
     session = open_bag(path).session()

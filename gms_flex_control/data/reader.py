@@ -145,14 +145,15 @@ def _phase(path, topic, number, data):
     return Phase(stamp, *(texts[name] for name in _LABELS), float(values[0]))
 
 
-def read_blocks(path, time, n) -> tuple:
+def read_blocks(path, time, begin, n) -> tuple:
     """
     Read the friction blocks of the observer at the samples of a recording.
 
-    ``time`` (T,) [s] is that of the Recording of the same bag, with ``n`` joints. Torque [N m],
-    and 1 for sticking, 0 for slipping, each (T, n, N): NaN at samples without a message, None for
-    a topic that is not in the bag or has no stamps. BagError if the bag cannot be read or a
-    message is no table of blocks for these joints.
+    ``time`` (T,) [s] is that of the Recording of the same bag, of ``n`` joints, and ``begin`` its
+    first stamp [ns], see `read_beside`. Return torque [N m], and 1 for sticking, 0 for slipping,
+    each (T, n, N): NaN at samples without a message, None for a topic that is not in the bag or
+    has no stamps. BagError if the bag cannot be read or a message is no table of blocks for these
+    joints.
     """
     bag, tables = Bag(path), {}
     space = namespace_of(bag)
@@ -168,10 +169,7 @@ def read_blocks(path, time, n) -> tuple:
     _decode_blocks(bag, tables, waiting, n, 1)
     if not tables:
         return None, None
-    states = next((batch for batch in Bag(path).batches({space + Topics().joint_states})
-                   if batch), ())  # of which few at the start may be late
-    first = min((cdr.unpack_joint_state(data)[0] for *_, data in states), default=0)
-    stamps = first + np.rint(np.asarray(time) * 1e9).astype(np.int64)
+    stamps = begin + np.rint(np.asarray(time) * 1e9).astype(np.int64)
     return tuple(_at_samples(path, topic, tables.get(topic), stamps) for topic in topics)
 
 

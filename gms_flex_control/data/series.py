@@ -241,8 +241,16 @@ class Series:
         """Return stamps and receive times of the states, increasing, and the rows to take."""
         topic = self.topics.joint_states
         stamps, received, rows = self._take('joint_states', 'stamps', 'received', 'rows')
-        if not stamps.any():
-            return received, received, np.arange(len(received))
+        stamped = stamps > 0
+        if not stamped.any():
+            stamps, stamped = received, ~stamped
+        elif stamps[stamped].min() < _TWO_RUNS:
+            stamped[:] = True  # 0 is where the time of a simulation began
+        elif not stamped.all():
+            warnings.warn(f'{self._path}: topic {topic!r} has {np.sum(~stamped)} states without a '
+                          'stamp among others: left out', BagWarning, stacklevel=4)
+        taken = np.flatnonzero(stamped)
+        stamps, received, rows = stamps[taken], received[taken], rows[taken]
         back = np.diff(stamps)
         if len(back) and back.min() < -_TWO_RUNS:
             k = int(np.argmin(back))
@@ -254,7 +262,7 @@ class Series:
         if len(order) < len(stamps):
             warnings.warn(f'{self._path}: topic {topic!r} repeats {len(stamps) - len(order)} '
                           'stamps; the first state of each is taken', BagWarning, stacklevel=4)
-        return stamps[order], received[order], order
+        return stamps[order], received[order], taken[order]
 
     def states(self, name, rows) -> tuple:
         """Return position, velocity or effort of links and of motors, (T, n) each, or NaN."""
@@ -282,9 +290,10 @@ class Series:
         """Return the reference at the states, shape (T, 5, n)."""
         labels, stamped, times, values = self._take('reference', *_Answers._fields)
         values = self._own(values)
-        if stamped.all():
-            return _reference_at(stamps, period, labels, values)
-        return _reference_at(received, period, times, values)
+        by_stamp, by_time = (
+            _reference_at(states, period, when[own], values[own]) for states, when, own in (
+                (stamps, labels, stamped), (received, times, ~stamped)))
+        return np.where(np.isnan(by_stamp).all(axis=(1, 2), keepdims=True), by_time, by_stamp)
 
     def friction(self, stamps) -> np.ndarray:
         """Return the friction estimate at the states, shape (T, n)."""
@@ -295,9 +304,10 @@ class Series:
         labels, stamped, times, values = self._take('supply', *_Answers._fields)
         if not len(values):
             return np.full(len(stamps), np.nan)
-        at, known = (stamps, labels) if stamped.all() else (received, times)
-        known, first = np.unique(known, return_index=True)
-        return np.interp(at, known, values[first, 0])
+        own = stamped if stamped.any() else ~stamped
+        at, known = (stamps, labels) if stamped.any() else (received, times)
+        known, first = np.unique(known[own], return_index=True)
+        return np.interp(at, known, values[own][first, 0])
 
 
 def _one_voltage(_dims, count):

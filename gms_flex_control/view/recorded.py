@@ -8,7 +8,7 @@ import warnings
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.bag import BagWarning
-from gms_flex_control.data.reader import joint_names, read_blocks, read_recording
+from gms_flex_control.data.reader import joint_names, read_beside, read_blocks, read_recording
 from gms_flex_control.errors import BagError
 from gms_flex_control.friction import gms
 from gms_flex_control.reports.page import decimate
@@ -43,7 +43,7 @@ def open_bag(path, robot=None, *, default=None, joints=None, motors=None,
             there = joint_names(path)
             joints = robot.joints
             motors = motors or [name if name in there else '' for name in robot.motors]
-        recording = read_recording(path, joints, motors)
+        recording, begin, _ = read_beside(path, joints, motors)
         over = [read_recording(other, recording.joints, motors) for other in others]
     notes = [str(item.message) for item in caught if issubclass(item.category, BagWarning)]
     if robot is not None and robot.n_joints != recording.n_joints:
@@ -55,7 +55,8 @@ def open_bag(path, robot=None, *, default=None, joints=None, motors=None,
         notes.append('drawn as the arm of config/robot.yaml, whose joints have the same names; '
                      '--robot FILE names another')
     torque, sticking = (values if values is not None and np.isfinite(values).any() else None
-                        for values in read_blocks(path, recording.time, recording.n_joints))
+                        for values in read_blocks(path, recording.time, begin,
+                                                  recording.n_joints))
     origin = 'observer'
     if sticking is None and robot is not None:
         origin = 'model'
