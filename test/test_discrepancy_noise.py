@@ -77,4 +77,4 @@ def test_two_gains_that_make_torques_small_gain_nothing():
     left = unexplained(likelihood.motions[0], likelihood.constants(weak, zero))
     left[:, n:] /= 0.5  # of the motors, which the drives turn
     np.testing.assert_allclose(likelihood.rows(weak, zero),
-                               likelihood.rows_of([left]) - likelihood.usual, atol=1e-9)
+                               likelihood.whitened.rows_of([left]) - likelihood.usual, atol=1e-9)

@@ -44,6 +44,7 @@ class SteppedController:
 
     def use(self, gains) -> None:
         """Use other ControllerParams from the next tick on."""
+        self._limit = gains.torque_limit
         self._constants = boxed(cascade.constants_of(gains, self._model))
         self._feeding = boxed(feedforward.constants_of(gains, self._model))
 
@@ -59,6 +60,12 @@ class SteppedController:
         """Return state, measurement, constants and work space, as `tick` takes them boxed."""
         return (self._state, self._measured, self._constants, self._work, self._feeding,
                 self._fed)
+
+    def pass_on(self, torque) -> np.ndarray:
+        """Begin anew, and answer with a torque that is asked for, within limits (n_joints,)."""
+        self.reset()
+        self._command[:] = np.clip(torque, -self._limit, self._limit)
+        return self._command
 
     def tick(self, reference, dt) -> np.ndarray:
         """Answer ``measured`` with a torque (n_joints,) [N m]; see control.cascade.tick."""

@@ -193,7 +193,7 @@ def foreseen(likelihood, model, columns, own, numbers, plausible=np.inf) -> tupl
     The derivatives are ``columns``, of which products are kept, then ``own`` (V, R).
     """
     weight, noise = 1.0 / likelihood.noise_levels(model.sums.groups), likelihood.encoder_noise
-    of_rows, grams = weight[likelihood.groups.group], likelihood.grams(columns)
+    of_rows, grams = weight[likelihood.groups.group], likelihood.encoder_noise.grams_of(columns)
     of_numbers = noise.of_numbers(model.robot, numbers)
     lost, left = likelihood.noise_cleared(model, of_rows), of_rows * model.rows
     slope = (np.concatenate([noise.grams.fixed @ lost, of_numbers @ lost])

@@ -13,6 +13,7 @@ break-away does not count as much as motion does.
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 import os
 from typing import NamedTuple, Self
 
@@ -32,7 +33,12 @@ from gms_flex_control.discrepancy.null_simulation import (
 )
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
-from gms_flex_control.discrepancy.whitening import Band, Grams, Groups, Whitening
+from gms_flex_control.discrepancy.whitening import (
+    Band,
+    Groups,
+    WhitenedRecordings,
+    Whitening,
+)
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import SimulationError
@@ -103,11 +109,25 @@ class Likelihood:
                   widened * sd for (kind, joint), sd in robot.uncertainty.items()}
         self.nuisances = nuisances_of(plant.constants_of(robot), prior, stated) + (
             () if held_out else of_recordings(self.motions, robot))
-        self.sd = np.array([one.sd for one in self.nuisances])
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
         self._scales, self._held_out = scales_of(self.motions, robot), held_out
         self._cautious = cautious
         self._simulate(robot, np.zeros(len(self.nuisances)))
+
+    @cached_property
+    def sd(self) -> np.ndarray:
+        """Return standard deviations of the nuisance parameters by their priors (P,)."""
+        return np.array([one.sd for one in self.nuisances])
+
+    @property
+    def groups(self) -> Groups:
+        """Return the groups of whitened residuals."""
+        return self.whitened.groups
+
+    @property
+    def whitenings(self) -> tuple[Whitening, ...]:
+        """Return the Whitening of each recording."""
+        return self.whitened.whitenings
 
     @property
     def known(self) -> int:
@@ -157,12 +177,11 @@ class Likelihood:
         self.noise, floor = noise, PRACTICAL_FLOOR * np.tile(self.coulomb, 2)
         runs = [[residual + self.torque_noise(m, np.random.default_rng([self.seed, 7, k, m]))
                  for m, residual in enumerate(run)] for k, run in enumerate(self._null.clean)]
-        self.whitenings = [
+        self.whitened = WhitenedRecordings(self.motions, [
             Whitening(np.stack(clean[_NULL_RUNS - _MEASURED_BY:]), motion.period, floor,
                       motion.known)
-            for motion, clean in zip(self.motions, zip(*runs, strict=True), strict=True)]
-        self.groups, self._grams = Groups(self.motions, self.whitenings), None
-        clean = np.stack([self.rows_of(run) for run in runs])
+            for motion, clean in zip(self.motions, zip(*runs, strict=True), strict=True)])
+        clean = np.stack([self.whitened.rows_of(run) for run in runs])
         # what filters leave at every reversal, say, though nothing is missing: so they do of the
         # recording, whose rows scatter by that of this mean as well
         self.usual, count = clean.mean(axis=0), len(clean)
@@ -170,8 +189,7 @@ class Likelihood:
         if not self._held_out:
             self.encoder_noise = EncoderNoise(
                 self, self._null.robot, self._null.x,
-                [[self._joined(whitening.rows_of_spectra(one) for whitening, one in zip(
-                    self.whitenings, run, strict=True)) for run in pair]
+                [[self.whitened.rows_of_spectra(run) for run in pair]
                  for pair in self._null.by_step],
                 self._cautious)
 
@@ -237,12 +255,6 @@ class Likelihood:
         """Return the weights of the rows (R,) at the likeliest noise levels of sums (G,)."""
         return (1.0 / self.noise_levels(sums))[self.groups.group]
 
-    def grams(self, columns) -> Grams:
-        """Return the Grams of what is known of columns (C, R); the last are kept."""
-        if self._grams is None or self._grams[0] is not columns:
-            self._grams = columns, Grams(self.groups, self.encoder_noise.known(columns))
-        return self._grams[1]
-
     def slopes(self, shown, noise, model, weight) -> np.ndarray:
         """
         Return the downhill slopes of half the cost by nuisances and numbers (C,).
@@ -280,22 +292,13 @@ class Likelihood:
         return np.array([0.0 if isinstance(one, OfRecording) else value
                          for one, value in zip(self.nuisances, x, strict=False)])
 
-    def rows_of(self, residuals) -> np.ndarray:
-        """Return the whitened residuals (R,) of torques (S, 2 n) along each recording."""
-        return self._joined(whitening.rows_of(residual) for whitening, residual in zip(
-            self.whitenings, residuals, strict=True))
-
-    def _joined(self, rows):
-        """Return rows (S, 2 n) of each recording as one vector (R,)."""
-        return np.concatenate([one.ravel() for one in rows])[self.groups.used]
-
     def rows(self, robot, x) -> np.ndarray:
         """Return whitened residuals of a model (R,), less what every null simulation shows."""
-        return self.rows_of(self.residuals(self.motions, robot, x)) - self.usual
+        return self.whitened.rows_of(self.residuals(self.motions, robot, x)) - self.usual
 
     def of_pair(self, robot, x) -> list:
         """Return whitened residuals (R,) of a model along two null simulations of one motion."""
-        return [self.rows_of(self.residuals(run, robot, x)) for run in self._null.pair]
+        return [self.whitened.rows_of(self.residuals(run, robot, x)) for run in self._null.pair]
 
     def residuals(self, motions, robot, x) -> list:
         """Return residual torques per unit of commanded torque, (S, 2 n) of each motion [N m]."""
@@ -351,15 +354,11 @@ class Likelihood:
 
     def torque(self, model) -> list:
         """Return the residual torques of a model behind the low-pass, (S', 2 n) each [N m]."""
-        return self._behind_low_pass(self.residuals(self.motions, model.robot, model.x))
-
-    def _behind_low_pass(self, residuals):
-        return [whitening.torque_rows(one)
-                for whitening, one in zip(self.whitenings, residuals, strict=True)]
+        return self.whitened.behind_low_pass(self.residuals(self.motions, model.robot, model.x))
 
     def excess_torque(self, model) -> np.ndarray:
         """Return what a model leaves in motion beyond null simulations, rms (2 n,) [N m]."""
-        left = self._in_motion([one ** 2 for one in self.torque(model)])
+        left = self.whitened.in_motion([one ** 2 for one in self.torque(model)])
         return np.sqrt(np.maximum(left - self.clean_torque() ** 2, 0.0))
 
     def is_followed(self, model) -> bool:
@@ -375,27 +374,19 @@ class Likelihood:
                     for motion in self.motions]
         except SimulationError:
             return False
-        own = self._behind_low_pass([unexplained(run, constants) for run in runs])
-        most = np.maximum(self._in_motion([one ** 2 for one in self.torque(model)]),
+        own = self.whitened.behind_low_pass([unexplained(run, constants) for run in runs])
+        most = np.maximum(self.whitened.in_motion([one ** 2 for one in self.torque(model)]),
                           (LARGEST_NOISE * np.tile(self.coulomb, 2)) ** 2)
-        return bool(np.all(self._in_motion([one ** 2 for one in own])
+        return bool(np.all(self.whitened.in_motion([one ** 2 for one in own])
                            <= _WILD * most))  # not where it is not finite
 
     def clean_torque(self) -> np.ndarray:
         """Return what null simulations leave in motion, torque noise too, rms (2 n,) [N m]."""
-        squares = [[one ** 2 for one in self._behind_low_pass([
+        squares = [[one ** 2 for one in self.whitened.behind_low_pass([
             residual + self.torque_noise(m, np.random.default_rng([self.seed, 9, k, m]))
             for m, residual in enumerate(run)])] for k, run in enumerate(self._null.clean[:2])]
-        return np.sqrt(self._in_motion([np.mean(one, axis=0)
+        return np.sqrt(self.whitened.in_motion([np.mean(one, axis=0)
                                         for one in zip(*squares, strict=True)]))
-
-    def _in_motion(self, squares):
-        """Return the mean of squares (S', 2 n) of each recording while links move (2 n,)."""
-        where = [np.tile(~still, 2) & whitening.settled[:, None]
-                 for still, whitening in zip(self.groups.at_rest, self.whitenings, strict=True)]
-        count = sum(one.sum(axis=0) for one in where)
-        return sum(np.sum(square * one, axis=0) for square, one in zip(
-            squares, where, strict=True)) / np.maximum(count, 1)
 
     def torque_rms(self, one, other) -> float:
         """Return the rms by which residual torques of two models differ, larger equation."""

@@ -163,6 +163,7 @@ class EncoderNoise:
                                 dtype=bool)
         self.grams = Grams(self._groups, self.known(self._by_nuisance))
         self._by_effect = {}  # (effect, joint): as `_shown`, a row for each parameter
+        self._grams = None    # columns and their Grams, the last that were asked for
         self._anchors = {}    # effects that were added, all (effect, joint): effects, x and noise
 
     def _shown(self, pair, step):
@@ -233,6 +234,12 @@ class EncoderNoise:
         for i in np.flatnonzero(self._shapes):
             known[i] *= self._informative[i][self._groups.group]
         return known
+
+    def grams_of(self, columns) -> Grams:
+        """Return the Grams of what is `known` of columns (C, R); the last are kept."""
+        if self._grams is None or self._grams[0] is not columns:
+            self._grams = columns, Grams(self._groups, self.known(columns))
+        return self._grams[1]
 
     def columns(self, robot, numbers) -> np.ndarray:
         """Return how noise shows in derivatives by nuisances and numbers (C, R)."""

@@ -187,7 +187,7 @@ class FreeFunctions:
             torques = [np.zeros((len(own), 2 * n)) for own in triangles]
             for torque, own in zip(torques, triangles, strict=True):
                 torque[:, column] = own[:, k]
-            rows.append(likelihood.rows_of(torques))
+            rows.append(likelihood.whitened.rows_of(torques))
         return np.array(rows)
 
     def left_in(self, model, columns, caution=1.0) -> 'Free | None':

@@ -34,7 +34,7 @@ def white_noise(likelihood, model) -> np.ndarray:
         for k in range(_DRAWS):
             rng = np.random.default_rng([likelihood.seed, 8, k, m])
             unit[m] = likelihood.torque_noise(m, rng, 1.0)
-            response += likelihood.rows_of(unit)[mine] ** 2 / _DRAWS
+            response += likelihood.whitened.rows_of(unit)[mine] ** 2 / _DRAWS
         for c in range(out.shape[1]):
             excess = []
             for octave in range(_OCTAVES_OF_NOISE):

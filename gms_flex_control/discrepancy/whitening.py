@@ -270,6 +270,50 @@ class Groups:
         return np.reshape(found, (len(found), len(one), len(other)))
 
 
+class WhitenedRecordings:
+    """
+    Whitened residuals of several recordings as one vector, what is usual of them left out.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        The recordings.
+    whitenings : sequence of Whitening
+        One of each.
+
+    """
+
+    def __init__(self, motions, whitenings):
+        self.whitenings, self.groups = tuple(whitenings), Groups(motions, whitenings)
+
+    def rows_of(self, residuals) -> np.ndarray:
+        """Return the whitened residuals (R,) of torques (S, 2 n) along each recording."""
+        return self.joined(whitening.rows_of(residual) for whitening, residual in zip(
+            self.whitenings, residuals, strict=True))
+
+    def rows_of_spectra(self, spectra) -> np.ndarray:
+        """Return the whitened residuals (R,) of the spectra of torques of each recording."""
+        return self.joined(whitening.rows_of_spectra(one) for whitening, one in zip(
+            self.whitenings, spectra, strict=True))
+
+    def joined(self, rows) -> np.ndarray:
+        """Return rows (S, 2 n) of each recording as one vector (R,)."""
+        return np.concatenate([one.ravel() for one in rows])[self.groups.used]
+
+    def behind_low_pass(self, residuals) -> list:
+        """Return torques (S, 2 n) of each recording behind the low-pass, (S', 2 n) [N m]."""
+        return [whitening.torque_rows(one)
+                for whitening, one in zip(self.whitenings, residuals, strict=True)]
+
+    def in_motion(self, squares) -> np.ndarray:
+        """Return the mean of squares (S', 2 n) of each recording while links move (2 n,)."""
+        where = [np.tile(~still, 2) & whitening.settled[:, None]
+                 for still, whitening in zip(self.groups.at_rest, self.whitenings, strict=True)]
+        count = sum(one.sum(axis=0) for one in where)
+        return sum(np.sum(square * one, axis=0) for square, one in zip(
+            squares, where, strict=True)) / np.maximum(count, 1)
+
+
 class Grams:
     """
     Products of columns at any weights of groups, where most columns never change.

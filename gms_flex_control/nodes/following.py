@@ -217,7 +217,7 @@ class Follower:
         self.handover = Handover(values['resume_time'])
         self.encoders = EncoderWatch(robot, gains.torque_limit, self.controller.measured)
         self._sources = SourceWatch('nodes send references')
-        self._limit, self._zero = gains.torque_limit, np.zeros(robot.n_joints)
+        self._zero = np.zeros(robot.n_joints)
         self.last = None         # stamp of the state answered last
         self.follows = False     # whether its answer was that of the law
         self._obstacle = ''      # why it was answered with zero, though it was sound
@@ -239,7 +239,6 @@ class Follower:
         """Take other gains."""
         self.changes += 1
         self.controller.use(gains)
-        self._limit = gains.torque_limit
         self.encoders.use(gains.torque_limit)
 
     def reset(self) -> None:
@@ -351,13 +350,11 @@ class Follower:
 
     def _follow(self, stamp, reference, elapsed, before):
         """Return the torque that follows a reference, after the phase of the state before."""
-        command = self.controller.state.command
         if reference.quantity == EFFORT:
-            self.controller.reset()
-            command = self.controller.state.command
-            command[:] = np.clip(reference.value[0], -self._limit, self._limit)
+            command = self.controller.pass_on(reference.value[0])
             self._begins = True
         else:
+            command = self.controller.state.command
             if self._begins:
                 self._begins = False
                 self.handover.begin(
