@@ -90,8 +90,8 @@ def test_a_belief_that_is_two_percent_off_is_not_named():
     result = find_discrepancy([case.recording], near)
     assert (result.verdict, result.named) == (COMPLETE, ()), result.words
     assert result.unexplained is None and result.robot.effects == ()
-    assert {one.effect for one in result.searched.tried} | {'supply_sag', 'friction_backlash'} == set(
-        registry.names())
+    tried = {one.effect for one in result.searched.tried}
+    assert tried | {'supply_sag', 'friction_backlash'} == set(registry.names())
     told = {joint: change for name, joint, change in result.retuned if name == 'stiffness'}
     assert all(change == pytest.approx(-0.02, abs=0.01) for change in told.values())
     np.testing.assert_allclose(result.robot.arm.stiffness, arm.stiffness, rtol=0.01)
