@@ -24,7 +24,6 @@ GROUPS = {
                    'demo-discrepancy': 'bench.demos.discrepancy',
                    'demo-next': 'bench.demos.separate'},
     'on recordings of real ones': {'real-machines': 'bench.real_machines.real_machines',
-                                   'torsion': 'bench.real_machines.spring_or_delay',
                                    'real-arm': 'bench.real_arm'}}
 EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
             for verb, each in {
@@ -44,7 +43,6 @@ EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
     'demo-discrepancy': ('--seed 3', '--effect position_friction --duration 30 --out found'),
     'demo-next': ('', '--seed 3 --out separated'),
     'real-machines': ('--first', 'kr300_axis1 --out bench_real_output'),
-    'torsion': ('kr300 --joint axis1 --stiffness 4.58e6 --out torsion',),
     'real-arm': ('', '--data tx40 --out tx40.json')}.items()}
 
 
