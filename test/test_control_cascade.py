@@ -10,7 +10,6 @@ import re
 from core_runs import model_with_error, single_axis
 from gms_flex_control.control import cascade
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.key import of_joints
 from gms_flex_control.simulation import encoder, loop, plant
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -223,15 +222,3 @@ def test_a_single_axis_is_controlled(ideal_robot, gains):
         name: getattr(gains, name)[[0]] for name in vars(gains) if name != 'compensation'})
     run = loop.run(axis, axis, one, builders.sinusoid([1.0], 6.0), duration=12.0)
     assert mean_square(run)[0] < 2e-6
-
-
-def test_three_joints_are_controlled(ideal_robot, gains):
-    """A third link like the second one, with its friction and its gains."""
-    third = [0, 1, 1]
-    robot = replace(ideal_robot, joints=('a', 'b', 'c'), motors=('x', 'y', 'z'),
-                    arm=of_joints(ideal_robot.arm, third),
-                    friction=ideal_robot.friction.of_joints(third))
-    three = of_joints(with_mode(gains, 'gms'), third)
-    run = loop.run(robot, robot, three, builders.sinusoid([0.6, 0.6, 0.6], 6.0),
-                   duration=12.0)
-    assert np.all(mean_square(run) < 1e-4)

@@ -13,6 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 EXAMPLE = CONFIG.parent / 'examples' / 'industrial_arm'
+ARM = [EXAMPLE / 'robot.yaml', EXAMPLE / 'controller.yaml']
 # node, text of a file after the usual two (None: it is missing), what the sentence says; values
 # that no robot has are test_schema's
 REFUSED = {
@@ -51,6 +52,8 @@ def outcomes(tmp_path_factory):
             running['limit'] = pool.submit(
                 start, 'limit', 'trajectory_node', 'trajectory: {joint2: {amplitude: 1.7}}',
                 files=[EXAMPLE / name for name in ('robot.yaml', 'trajectory.yaml')])
+            running['no URDF'] = pool.submit(
+                start, 'no URDF', 'controller_node', 'arm: {urdf: /robot_description}', files=ARM)
             # whole numbers where doubles belong, and parameters of ROS itself
             running['whole numbers'] = pool.submit(
                 start, 'whole numbers', 'plant_node',
@@ -100,14 +103,14 @@ def test_shipped_and_identified_files_are_accepted_by_every_node(tmp_path):
         assert all(node.runs for node in nodes)
 
 
-def test_a_urdf_comes_from_the_topic_that_the_robot_file_names_or_the_node_says_so(tmp_path):
-    files = [EXAMPLE / 'robot.yaml', EXAMPLE / 'controller.yaml', write_parameters(
-        tmp_path / 'topic.yaml', 'arm: {urdf: /robot_description}')]
+def test_a_urdf_comes_from_the_topic_that_the_robot_file_names_or_the_node_says_so(
+        outcomes, tmp_path):
+    code, printed, _ = outcomes['no URDF']
+    assert code == 2
+    assert ('arm.urdf: no URDF came on the topic /robot_description in 5 s; start '
+            'robot_state_publisher, or name a URDF file') in printed
+    files = [*ARM, write_parameters(tmp_path / 'topic.yaml', 'arm: {urdf: /robot_description}')]
     with Lab(tmp_path) as lab:
-        late = lab.start('controller_node.alone', files=files)
-        assert late.wait(PATIENCE) == 2
-        assert ('arm.urdf: no URDF came on the topic /robot_description in 5 s; start '
-                'robot_state_publisher, or name a URDF file') in late.printed()
         publisher = lab.node.create_publisher(String, '/robot_description', QoSProfile(
             depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
         urdf, = EXAMPLE.glob('*.urdf')
