@@ -11,6 +11,7 @@ again with the same --out.
 
 from collections import defaultdict
 from dataclasses import replace
+from functools import partial
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,7 +22,7 @@ from bench.identification_simulated import simulate_identification
 from gms_flex_control.answer import align
 from gms_flex_control.batches import fingerprint, run_kept
 from gms_flex_control.cli.identify_bags import read_experiment_of
-from gms_flex_control.cli.options import add_batch_options
+from gms_flex_control.cli.options import add_verb, BATCH, option, out_folder, Verb
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.identification_plan import plan_identification
@@ -57,22 +58,19 @@ GAINS = ControllerParams(
 CURVE = 'presliding curve'
 
 
-def add_parser(subparsers):
-    """Add the verb to the tool's parser."""
-    parser = subparsers.add_parser(
-        'coverage', help='how often intervals of identify hold the truth, on simulated axes',
-        description='Identify simulated axes with known friction, and count how often the '
-                    'intervals that gms_flex identify prints hold it. A killed run goes on when '
-                    'started again with the same --out.')
-    parser.add_argument('--seeds', default='100:104', metavar='A:B',
-                        help='robots, from A up to, not including, B (default: 100:104)')
-    parser.add_argument('--motions', nargs='+', choices=MOTIONS, default=list(MOTIONS))
-    parser.add_argument('--noises', nargs='+', type=float, default=NOISES, metavar='SHARE',
-                        help='of F_s (default: %(default)s)')
-    add_batch_options(parser)
-    parser.add_argument('--out', type=Path, required=True, metavar='DIR',
-                        help='folder for coverage.json and coverage.md')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'coverage', lambda args: run(args),
+    'how often intervals of identify hold the truth, on simulated axes',
+    'Identify simulated axes with known friction, and count how often the intervals that gms_flex '
+    'identify prints hold it. A killed run goes on when started again with the same --out.', (
+        option('--seeds', default='100:104', metavar='A:B',
+               help='robots, from A up to, not including, B (default: 100:104)'),
+        option('--motions', nargs='+', choices=('plan', 'sinusoids', 'moves'),
+               default=['plan', 'sinusoids', 'moves']),
+        option('--noises', nargs='+', type=float, default=NOISES, metavar='SHARE',
+               help='of F_s (default: %(default)s)'),
+        *BATCH, out_folder('coverage.json and coverage.md')), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args):
@@ -81,8 +79,9 @@ def run(args):
     outcomes = list(run_kept(try_case, items, args, fingerprint() + fingerprint(
         ('coverage.py',), HERE), 'identifications').values())
     *both, total = tables(outcomes)
-    write_text(args.out / 'coverage.json', json.dumps(outcomes, indent=1))
-    write_text(args.out / 'coverage.md', '\n\n'.join(markdown(*one) for one in both) + '\n')
+    write_text(Path(args.out) / 'coverage.json', json.dumps(outcomes, indent=1))
+    write_text(Path(args.out) / 'coverage.md',
+               '\n\n'.join(markdown(*one) for one in both) + '\n')
     print('\n\n'.join([*(align(header, rows) for header, rows in both), f'all: {total}']))
     return 0
 

@@ -12,6 +12,7 @@ Every case is a process that is given the recording, so that memory is its own.
 """
 
 from dataclasses import replace
+from functools import partial
 import json
 from multiprocessing import get_context
 from pathlib import Path
@@ -21,6 +22,7 @@ import time
 from typing import NamedTuple
 
 from gms_flex_control.answer import align
+from gms_flex_control.cli.options import add_verb, option, Verb
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import Plan, simulate
@@ -136,17 +138,16 @@ def draw(costs, path) -> None:
     figure.savefig(path, dpi=100)
 
 
-def add_parser(subparsers) -> None:
-    """Add the verb to the tool's parser."""
-    parser = subparsers.add_parser(
-        'growth', help='time and memory of identify and discrepancy by joints and minutes',
-        description='Measure identify and discrepancy on recordings of 1 to 6 joints in space and '
-                    'of half a minute to four; print and draw time and memory.')
-    parser.add_argument('--verbs', nargs='+', choices=VERBS, default=list(VERBS))
-    parser.add_argument('--joints', nargs='*', type=int, default=list(_JOINTS), metavar='N')
-    parser.add_argument('--minutes', nargs='*', type=float, default=list(_MINUTES), metavar='M')
-    parser.add_argument('--out', metavar='DIR', help='growth.json and growth.png')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'growth', lambda args: run(args),
+    'time and memory of identify and discrepancy by joints and minutes',
+    'Measure identify and discrepancy on recordings of 1 to 6 joints in space and of half a '
+    'minute to four; print and draw time and memory.', (
+        option('--verbs', nargs='+', choices=VERBS, default=list(VERBS)),
+        option('--joints', nargs='*', type=int, default=list(_JOINTS), metavar='N'),
+        option('--minutes', nargs='*', type=float, default=list(_MINUTES), metavar='M'),
+        option('--out', metavar='DIR', help='growth.json and growth.png')), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args) -> int:

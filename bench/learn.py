@@ -4,6 +4,7 @@
 """`python -m bench learn`: learned terms on hidden robots, clean ones and real machines."""
 
 from dataclasses import replace
+from functools import partial
 import json
 from pathlib import Path
 import time
@@ -17,7 +18,7 @@ from bench.real_machines.motion import low_pass, motion_of, residual_torque, rms
 from bench.real_machines.split import identified, model_rms, parts_of
 from gms_flex_control.answer import align
 from gms_flex_control.batches import fingerprint, run_kept
-from gms_flex_control.cli.options import add_batch_options
+from gms_flex_control.cli.options import add_verb, BATCH, number, option, out_folder, Verb
 from gms_flex_control.discrepancy import motion as measured
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.gap import HORIZON, STRIDE, torque_rms
@@ -53,28 +54,24 @@ class Item(NamedTuple):
     duration: float  # of each recording [s]
 
 
-def add_parser(subparsers):
-    """Add the verb to the command line."""
-    parser = subparsers.add_parser(
-        'learn', help='learned terms on hidden robots, clean ones and real machines',
-        description='Hide disturbances that no effect of the catalogue explains, learn a term for '
-                    'each, and compare held-out torque and free runs before and after; the same '
-                    'for clean robots and for recordings of real machines, there beside a '
-                    'Gaussian process and a neural network. A killed run goes on.')
-    parser.add_argument('--seeds', default='0:3', metavar='A:B',
-                        help='of each disturbance (default: %(default)s)')
-    parser.add_argument('--disturbances', nargs='*', default=[*STATE, *OTHERS], metavar='NAME',
-                        help='hidden in robots (default: %(default)s)')
-    parser.add_argument('--clean', default='0:20', metavar='A:B',
-                        help='of clean robots (default: %(default)s)')
-    parser.add_argument('--machines', nargs='*', default=list(MACHINES), metavar='MACHINE',
-                        help=f'real ones (default: {" ".join(MACHINES)})')
-    parser.add_argument('--duration', type=float, default=30.0, metavar='S',
-                        help='of recordings with a disturbance (default: %(default)g)')
-    add_batch_options(parser)
-    parser.add_argument('--out', default='learned', metavar='DIR',
-                        help='learned.json, journal (default: %(default)s)')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'learn', lambda args: run(args),
+    'learned terms on hidden robots, clean ones and real machines',
+    'Hide disturbances that no effect of the catalogue explains, learn a term for each, and '
+    'compare held-out torque and free runs before and after; the same for clean robots and for '
+    'recordings of real machines, there beside a Gaussian process and a neural network. A killed '
+    'run goes on.', (
+        option('--seeds', default='0:3', metavar='A:B',
+               help='of each disturbance (default: %(default)s)'),
+        option('--disturbances', nargs='*', default=[*STATE, *OTHERS], metavar='NAME',
+               help='hidden in robots (default: %(default)s)'),
+        option('--clean', default='0:20', metavar='A:B',
+               help='of clean robots (default: %(default)s)'),
+        option('--machines', nargs='*', default=list(MACHINES), metavar='MACHINE',
+               help=f'real ones (default: {" ".join(MACHINES)})'),
+        number('--duration', 'S', 30.0, 'of recordings with a disturbance'),
+        *BATCH, out_folder('learned.json, journal', 'learned')), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args):

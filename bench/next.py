@@ -4,6 +4,7 @@
 """`python -m bench next`: names that a first recording leaves, and motions that separate them."""
 
 from dataclasses import replace
+from functools import partial
 import json
 from pathlib import Path
 import time
@@ -14,7 +15,7 @@ from bench.hidden_robots.cases import recording_of
 from bench.hidden_robots.hide import seeds_of
 from gms_flex_control.answer import align
 from gms_flex_control.batches import fingerprint, run_kept
-from gms_flex_control.cli.options import add_batch_options
+from gms_flex_control.cli.options import add_verb, BATCH, option, out_folder, Verb
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.design.motions import Candidate, gentlest, random_moves
 from gms_flex_control.design.plan import clipped, separate
@@ -100,21 +101,18 @@ class Robot(NamedTuple):
     plant: str          # 'soft' or 'stiff'
 
 
-def add_parser(subparsers):
-    """Add the verb to the command line."""
-    parser = subparsers.add_parser(
-        'next', help='designed motions beside rich and random ones, on hidden robots',
-        description='Hide an effect in robots whose first recording leaves two names or more. '
-                    'Count how many are resolved rightly by so much robot time of designed '
-                    'motions, of the rich motion and of random moves. A killed run goes on.')
-    parser.add_argument('--seeds', default='0:2', metavar='A:B',
-                        help='of each family of effects (default: %(default)s)')
-    parser.add_argument('--families', nargs='*', default=list(FAMILIES), metavar='NAME',
-                        choices=FAMILIES, help='default: all')
-    add_batch_options(parser)
-    parser.add_argument('--out', default='next', metavar='DIR',
-                        help='next.json, next_bench.png, journal (default: %(default)s)')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'next', lambda args: run(args),
+    'designed motions beside rich and random ones, on hidden robots',
+    'Hide an effect in robots whose first recording leaves two names or more. Count how many are '
+    'resolved rightly by so much robot time of designed motions, of the rich motion and of random '
+    'moves. A killed run goes on.', (
+        option('--seeds', default='0:2', metavar='A:B',
+               help='of each family of effects (default: %(default)s)'),
+        option('--families', nargs='*', default=list(FAMILIES), metavar='NAME', choices=FAMILIES,
+               help='default: all'),
+        *BATCH, out_folder('next.json, next_bench.png, journal', 'next')), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args) -> int:

@@ -13,12 +13,14 @@ joint 5 as well, in two places: with the sum of both joints, and in the numbers 
 Here each stands once, so that of motor 6 comes off the published ones of both joints.
 """
 
+from functools import partial
 import json
 from pathlib import Path
 import tempfile
 
 from bench.real_machines.machines import shared_data
 from gms_flex_control.answer import align
+from gms_flex_control.cli.options import add_verb, option, Verb
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.conditions import Conditions, with_conditions
 from gms_flex_control.data.recording import Recording
@@ -108,16 +110,14 @@ def found_in(recording: Recording, robot) -> np.ndarray:
     return found
 
 
-def add_parser(subparsers) -> None:
-    """Add the verb to the tool's parser."""
-    parser = subparsers.add_parser(
-        'real-arm', help='friction of a real arm with a coupled wrist, beside published values',
-        description='Identify a Staubli TX40 from its public recording; print friction and motor '
-                    f'inertia beside published values. Files are looked for in '
-                    f'{shared_data() / "tx40"}.')
-    parser.add_argument('--data', type=Path, metavar='DIR', help='folder of the files instead')
-    parser.add_argument('--out', metavar='FILE', help='the numbers as JSON')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'real-arm', lambda args: run(args),
+    'friction of a real arm with a coupled wrist, beside published values',
+    'Identify a Staubli TX40 from its public recording; print friction and motor inertia beside '
+    f'published values. Files are looked for in {shared_data() / "tx40"}.', (
+        option('--data', type=Path, metavar='DIR', help='folder of the files instead'),
+        option('--out', metavar='FILE', help='the numbers as JSON')), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args) -> int:

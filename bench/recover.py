@@ -4,6 +4,7 @@
 """`python -m bench recover`: what an experiment tells, tried on a simulated robot many times."""
 
 from dataclasses import replace
+from functools import partial
 import json
 import math
 from pathlib import Path
@@ -12,8 +13,17 @@ from typing import NamedTuple
 from bench.identification_simulated import simulate_identification
 from gms_flex_control.answer import align
 from gms_flex_control.batches import digest_of, fingerprint, run_kept
-from gms_flex_control.cli.options import add_batch_options
-from gms_flex_control.errors import ConfigError
+from gms_flex_control.cli.options import (
+    add_verb,
+    BATCH,
+    CONTROLLER,
+    JSON,
+    number,
+    option,
+    out_folder,
+    ROBOT,
+    Verb,
+)
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import controller_file, robot_file, share_path, write_text
@@ -36,40 +46,28 @@ SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control',
            'simulation', 'experiment', 'identification')
 
 
-def add_parser(subparsers):
-    """Add the verb to the command line."""
-    parser = subparsers.add_parser(
-        'recover', help='identify a simulated robot many times and compare with the truth',
-        description='Simulate the identification experiment and identify it, once per seed, and '
-                    'print how each parameter comes out, how often its 95 % interval holds the '
-                    'truth, and how far the presliding curve is off. A killed run goes on when '
-                    'started again with the same --out. Exit code 1 if what is asked of the '
-                    'identification is missed.')
-    parser.add_argument('--robot', nargs='+', metavar='FILE',
-                        help='the truth, later files winning; default: the arm of the paper')
-    parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
-    parser.add_argument('--plan', metavar='FILE',
-                        help='default: config/identification.yaml')
-    parser.add_argument('--believed', type=float, default=0.8, metavar='FACTOR',
-                        help='friction believed before, times the true one (default: %(default)s)')
-    parser.add_argument('--seeds', type=int, default=20, metavar='N', help='default: %(default)s')
-    parser.add_argument('--rate', type=float, default=500.0, metavar='HZ',
-                        help='samples per second (default: %(default)s)')
-    parser.add_argument('--torque-noise', type=float, default=1e-3, metavar='NM',
-                        help='of the recorded torque [N m] (default: %(default)s)')
-    parser.add_argument('--first', type=int, default=0, metavar='SEED',
-                        help='the first seed (default: %(default)s)')
-    add_batch_options(parser)
-    parser.add_argument('--out', default='recovery', metavar='DIR',
-                        help='recovery.json, journal of the seeds (default: %(default)s)')
-    parser.add_argument('--json', action='store_true', help='print the figures as JSON')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'recover', lambda args: run(args),
+    'identify a simulated robot many times and compare with the truth',
+    'Simulate the identification experiment and identify it, once per seed, and print how each '
+    'parameter comes out, how often its 95 % interval holds the truth, and how far the presliding '
+    'curve is off. A killed run goes on when started again with the same --out. Exit code 1 if '
+    'what is asked of the identification is missed.', (
+        ROBOT, CONTROLLER, option('--plan', metavar='FILE',
+                                  help='default: config/identification.yaml'),
+        number('--believed', 'FACTOR', 0.8, 'friction believed before, times the true one'),
+        option('--seeds', type=int, default=20, metavar='N', least=1,
+               help='default: %(default)s'),
+        number('--rate', 'HZ', 500.0, 'samples per second'),
+        number('--torque-noise', 'NM', 1e-3, 'of the recorded torque [N m]'),
+        option('--first', type=int, default=0, metavar='SEED',
+               help='the first seed (default: %(default)s)'),
+        *BATCH, out_folder('recovery.json, journal of the seeds', 'recovery'), JSON), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args):
     """Try, print and compare; return 1 if what is asked was missed, else 0."""
-    if args.seeds < 1:
-        raise ConfigError(f'--seeds {args.seeds}: at least one is needed')
     robot = load_robot(args.robot or robot_file())
     gains = load_controller(args.controller or controller_file(), robot)
     believed = replace(robot, friction=scaled_friction(robot.friction, args.believed))

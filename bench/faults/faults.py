@@ -4,11 +4,13 @@
 """`python -m bench faults`: every fault tried on the installed nodes, as a table."""
 
 from contextlib import nullcontext
+from functools import partial
 import json
 from pathlib import Path
 import sys
 from tempfile import TemporaryDirectory
 
+from gms_flex_control.cli.options import add_verb, JSON, option, Verb
 from gms_flex_control.cli.terminal import import_ros
 from gms_flex_control.errors import ConfigError, did_you_mean
 
@@ -16,29 +18,25 @@ _LONGEST_SOAK = 10_000.0  # [min]
 _PRIORITY = 50            # of the nodes, where it is permitted
 
 
-def add_parser(subparsers):
-    """Add the verb to the tool's parser."""
-    parser = subparsers.add_parser(
-        'faults', help='try faults on the installed nodes: what happens, and how fast',
-        description='Start the installed nodes over DDS on a domain of their own, on this '
-                    'machine alone and with a simulated arm, do to them what must never move an '
-                    'arm, and print the table of docs/faults.md filled in. It takes about ten '
-                    'minutes, --short about three. Figures hold for a machine with little else '
-                    'to do. Exit code 1 if anything was not as required.')
-    parser.add_argument('--short', action='store_true', help='few tries of each, for CI')
-    parser.add_argument('--only', nargs='+', metavar='FAULT', help='some rows; see --list')
-    parser.add_argument('--list', action='store_true', help='name the rows and end')
-    parser.add_argument('--soak', type=float, metavar='MINUTES',
-                        help='instead of faults: run the loop at 500 Hz so long, and watch memory '
-                             'and missed deadlines')
-    parser.add_argument('--priority', type=int, metavar='N',
-                        help=f'realtime_priority of the nodes, 1 to 99, 0 for none; default '
-                             f'{_PRIORITY}, as config/bridge.yaml asks for, or 0 where the system '
-                             'does not permit it')
-    parser.add_argument('--json', action='store_true', help='print JSON')
-    parser.add_argument('--logs', type=Path, metavar='FOLDER',
-                        help='keep there what the nodes print')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'faults', lambda args: run(args),
+    'try faults on the installed nodes: what happens, and how fast',
+    'Start the installed nodes over DDS on a domain of their own, on this machine alone and with '
+    'a simulated arm, do to them what must never move an arm, and print the table of '
+    'docs/faults.md filled in. It takes about ten minutes, --short about three. Figures hold for '
+    'a machine with little else to do. Exit code 1 if anything was not as required.', (
+        option('--short', action='store_true', help='few tries of each, for CI'),
+        option('--only', nargs='+', metavar='FAULT', help='some rows; see --list'),
+        option('--list', action='store_true', help='name the rows and end'),
+        option('--soak', type=float, metavar='MINUTES',
+               help='instead of faults: run the loop at 500 Hz so long, and watch memory and '
+                    'missed deadlines'),
+        option('--priority', type=int, metavar='N',
+               help=f'realtime_priority of the nodes, 1 to 99, 0 for none; default {_PRIORITY}, '
+                    'as config/bridge.yaml asks for, or 0 where the system does not permit it'),
+        JSON, option('--logs', type=Path, metavar='FOLDER',
+                     help='keep there what the nodes print')), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args):

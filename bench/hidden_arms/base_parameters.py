@@ -13,6 +13,7 @@ flexible joints and GMS friction; its stiffnesses are found first.
 """
 
 from dataclasses import replace
+from functools import partial
 import json
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from bench.hidden_arms.wrong_links import ARM, base_values, hidden_arm, moved
 from bench.hidden_robots.hide import seeds_of
 from gms_flex_control import load_robot
 from gms_flex_control.answer import align
+from gms_flex_control.cli.options import add_verb, number, option, Verb
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.arm_fit import with_motors
@@ -109,17 +111,15 @@ def flexible_score(seed: int, seconds: float) -> Score:
     return score_of(fit.values, fit.error, base_of(believed.arm)[1] @ all_parameters(true.arm))
 
 
-def add_parser(subparsers) -> None:
-    """Add the verb to the tool's parser."""
-    parser = subparsers.add_parser(
-        'base-parameters', help='links that a URDF has wrong, beside ordinary least squares',
-        description='Move six-axis arms whose links are 10 to 30 % off in MuJoCo, find their base '
-                    'parameters three ways, print errors and how often intervals hold.')
-    parser.add_argument('--seeds', default='0:20', metavar='A:B', help='of arms and motions')
-    parser.add_argument('--seconds', type=float, default=16.0, metavar='S',
-                        help='of each recording (default: %(default)g)')
-    parser.add_argument('--out', metavar='FILE', help='scores as JSON')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'base-parameters', lambda args: run(args),
+    'links that a URDF has wrong, beside ordinary least squares',
+    'Move six-axis arms whose links are 10 to 30 % off in MuJoCo, find their base parameters '
+    'three ways, print errors and how often intervals hold.', (
+        option('--seeds', default='0:20', metavar='A:B', help='of arms and motions'),
+        number('--seconds', 'S', 16.0, 'of each recording'),
+        option('--out', metavar='FILE', help='scores as JSON')), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args) -> int:

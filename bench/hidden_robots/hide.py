@@ -4,12 +4,14 @@
 """`python -m bench hide`: bags of robots with a hidden effect, and the truth beside them."""
 
 from dataclasses import replace
+from functools import partial
 import json
 import os
 from pathlib import Path
 import shutil
 
 from bench.hidden_robots.cases import make_case
+from gms_flex_control.cli.options import add_verb, JSON, number, option, out_folder, Verb
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.file_io import write_text
@@ -18,32 +20,24 @@ from gms_flex_control.schema.build import controller_values
 from gms_flex_control.schema.files import save_robot, save_values
 import numpy as np
 
-
-def add_parser(subparsers):
-    """Add the verb to the command line."""
-    parser = subparsers.add_parser(
-        'hide', help='bags of simulated robots in which an effect is hidden',
-        description='Draw robots in which something is hidden, drive them and write, for each, '
-                    'DIR/<kind>_<seed>[_<population>]/ with bag and held_out (two motions of '
-                    'the same robot), '
-                    'robot.yaml (what its user believes), controller.yaml and '
-                    'truth.json. The integrator is not the one of the workflow.')
-    parser.add_argument('--out', required=True, metavar='DIR')
-    parser.add_argument('--kind', nargs='+', default=['single'], metavar='KIND',
-                        help='single, clean, double, outside, clutter, deleted '
-                             '(default: single)')
-    parser.add_argument('--seeds', default='0:1', metavar='A:B',
-                        help='from A up to, not including, B; or a single one (default: 0:1)')
-    parser.add_argument('--population', default='home', metavar='NAME',
-                        help='which robots, see bench/hidden_robots/populations.py '
-                             '(default: home)')
-    parser.add_argument('--plant', metavar='NAME', help='soft or stiff; default: drawn')
-    parser.add_argument('--effect', metavar='NAME',
-                        help='hide this one instead of the one whose turn it is')
-    parser.add_argument('--duration', type=float, default=60.0, metavar='S',
-                        help='of each bag (default: %(default)g)')
-    parser.add_argument('--json', action='store_true', help='print the truths as JSON')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'hide', lambda args: run(args), 'bags of simulated robots in which an effect is hidden',
+    'Draw robots in which something is hidden, drive them and write, for each, '
+    'DIR/<kind>_<seed>[_<population>]/ with bag and held_out (two motions of the same robot), '
+    'robot.yaml (what its user believes), controller.yaml and truth.json. The integrator is not '
+    'the one of the workflow.', (
+        out_folder('folder of all'),
+        option('--kind', nargs='+', default=['single'], metavar='KIND',
+               help='single, clean, double, outside, clutter, deleted (default: single)'),
+        option('--seeds', default='0:1', metavar='A:B',
+               help='from A up to, not including, B; or a single one (default: 0:1)'),
+        option('--population', default='home', metavar='NAME',
+               help='which robots, see bench/hidden_robots/populations.py (default: home)'),
+        option('--plant', metavar='NAME', help='soft or stiff; default: drawn'),
+        option('--effect', metavar='NAME',
+               help='hide this one instead of the one whose turn it is'),
+        number('--duration', 'S', 60.0, 'of each bag'), JSON), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args):

@@ -17,7 +17,7 @@ from bench.hidden_robots.outcome import try_job
 from bench.hidden_robots.plants import PLANTS
 from bench.hidden_robots.populations import POPULATIONS
 from gms_flex_control.batches import Journal, open_executor
-from gms_flex_control.cli.options import add_batch_options
+from gms_flex_control.cli.options import add_verb, BATCH, JSON, number, option, out_folder, Verb
 from gms_flex_control.discrepancy.thresholds import EVIDENCE
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.file_io import write_text
@@ -26,37 +26,28 @@ NUMBERS = ('cases', 'free run', 'free run above truth', 'set size', 'energy',
            'time [s]')  # figures of a population, else shares
 
 
-def add_parser(subparsers):
-    """Add the verb to the command line."""
-    parser = subparsers.add_parser(
-        'score', help='how often the discrepancy workflow names what is hidden',
-        description='Draw hidden robots (see hide), ask the discrepancy workflow what '
-                    'each lacks, beside two peers on the same library, and print the confusion '
-                    'matrix and the figures beside what is required. A killed run goes on where '
-                    'it was when started again with the same --out. Exit code 1 if a figure '
-                    'misses what is required.')
-    parser.add_argument('--set', default='quick', metavar='NAME', dest='chosen',
-                        help='full (about 780 robots) or quick (92); default: quick')
-    parser.add_argument('--share', type=float, default=1.0, metavar='PART',
-                        help='of a set: only so much of it, from its beginning; kinds are mixed '
-                             'evenly (default: %(default)g)')
-    parser.add_argument('--kind', nargs='+', metavar='KIND',
-                        help='instead of a set: kinds of hidden robots, with --seeds')
-    parser.add_argument('--seeds', default='0:10', metavar='A:B',
-                        help='of --kind, from A up to, not including, B (default: 0:10)')
-    parser.add_argument('--population', nargs='+', default=['home'], metavar='NAME',
-                        help='of --kind: which robots, see bench/hidden_robots/'
-                             'populations.py (default: home)')
-    parser.add_argument('--plant', metavar='NAME',
-                        help='of --kind: soft or stiff; default: drawn')
-    parser.add_argument('--duration', type=float, default=60.0, metavar='S',
-                        help='of each recording of --kind (default: %(default)g)')
-    parser.add_argument('--out', required=True, metavar='DIR',
-                        help='journal outcomes.jsonl, report.txt and report.json')
-    add_batch_options(parser)
-    parser.add_argument('--no-peers', action='store_true', help='ask the workflow alone')
-    parser.add_argument('--json', action='store_true', help='print the report as JSON')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'score', lambda args: run(args), 'how often the discrepancy workflow names what is hidden',
+    'Draw hidden robots (see hide), ask the discrepancy workflow what each lacks, beside two '
+    'peers on the same library, and print the confusion matrix and the figures beside what is '
+    'required. A killed run goes on where it was when started again with the same --out. Exit '
+    'code 1 if a figure misses what is required.', (
+        option('--set', default='quick', metavar='NAME', dest='chosen',
+               help='full (about 780 robots) or quick (92); default: quick'),
+        number('--share', 'PART', 1.0, 'of a set: only so much of it, from its beginning; kinds '
+               'are mixed evenly'),
+        option('--kind', nargs='+', metavar='KIND',
+               help='instead of a set: kinds of hidden robots, with --seeds'),
+        option('--seeds', default='0:10', metavar='A:B',
+               help='of --kind, from A up to, not including, B (default: 0:10)'),
+        option('--population', nargs='+', default=['home'], metavar='NAME',
+               help='of --kind: which robots, see bench/hidden_robots/populations.py (default: '
+                    'home)'),
+        option('--plant', metavar='NAME', help='of --kind: soft or stiff; default: drawn'),
+        number('--duration', 'S', 60.0, 'of each recording of --kind'),
+        out_folder('journal outcomes.jsonl, report.txt and report.json'), *BATCH,
+        option('--no-peers', action='store_true', help='ask the workflow alone'), JSON), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args):

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`python -m bench real-machines`: recordings of real machines, beside least squares."""
 
+from functools import partial
 import json
 from pathlib import Path
 import sys
@@ -10,26 +11,24 @@ import sys
 from bench.real_machines import pictures, table
 from bench.real_machines.machines import MACHINES, ROOT, shared_data, VARIABLE
 from bench.real_machines.split import try_split
+from gms_flex_control.cli.options import add_verb, option, Verb
 from gms_flex_control.errors import ConfigError, did_you_mean
 
 DOCUMENT = ROOT / 'docs' / 'real_machines.md'
 
 
-def add_parser(subparsers):
-    """Add the verb to the tool's parser."""
-    parser = subparsers.add_parser(
-        'real-machines', help='public recordings of real machines, beside least squares',
-        description='Run identification and discrepancy on public recordings of real machines, '
-                    f'beside least squares. They are looked for in {shared_data()} (set '
-                    f'{VARIABLE}).')
-    parser.add_argument('machines', nargs='*', metavar='MACHINE', default=list(MACHINES),
-                        help=f'of {", ".join(MACHINES)} (default: all)')
-    parser.add_argument('--first', action='store_true', help='only the first split of each')
-    parser.add_argument('--out', type=Path, metavar='DIR',
-                        help='folder for results.json and the pictures')
-    parser.add_argument('--docs', action='store_true',
-                        help=f'write {DOCUMENT.relative_to(ROOT)} and its pictures anew')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'real-machines', lambda args: run(args),
+    'public recordings of real machines, beside least squares',
+    'Run identification and discrepancy on public recordings of real machines, beside least '
+    f'squares. They are looked for in {shared_data()} (set {VARIABLE}).', (
+        option('machines', nargs='*', metavar='MACHINE', default=list(MACHINES),
+               help=f'of {", ".join(MACHINES)} (default: all)'),
+        option('--first', action='store_true', help='only the first split of each'),
+        option('--out', type=Path, metavar='DIR', help='folder for results.json and pictures'),
+        option('--docs', action='store_true',
+               help=f'write {DOCUMENT.relative_to(ROOT)} and its pictures anew')), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args):

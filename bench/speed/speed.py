@@ -4,9 +4,12 @@
 """`python -m bench speed`: how fast everything is on this machine, beside MuJoCo and numpy."""
 
 from dataclasses import asdict
+from functools import partial
 from importlib import import_module
 import json
 import sys
+
+from gms_flex_control.cli.options import add_verb, CONTROLLER, JSON, option, ROBOT, Verb
 
 # suite: module and function (robot, gains, quick) -> list of Measurement
 SUITES = {
@@ -24,23 +27,18 @@ SUITES = {
 DEFAULT = ('loop', 'step', 'tick', 'ros', 'fit', 'identify')
 
 
-def add_parser(subparsers):
-    """Add the verb to the tool's parser."""
-    parser = subparsers.add_parser(
-        'speed', help='speed on this machine, beside MuJoCo and numpy',
-        description='Measure speed: medians of interleaved repetitions. Compare figures of one '
-                    'run only. MuJoCo is measured where the extra "bench" is installed. Only when '
-                    'asked for: "batches" (docs/scale.md), "export", free runs of the exported '
-                    'MJCF beside our own, effect by effect (docs/export.md), and "view", the late '
-                    'samples of the loop with and without the page of view live.')
-    parser.add_argument('--quick', action='store_true', help='rough figures in a few seconds')
-    parser.add_argument('--json', action='store_true', help='print JSON')
-    parser.add_argument('--only', nargs='+', choices=SUITES, metavar='SUITE',
-                        help=f'some of: {", ".join(SUITES)}')
-    parser.add_argument('--robot', nargs='+', metavar='FILE',
-                        help='robot files, later ones winning; default: the arm of the paper')
-    parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
-    parser.set_defaults(run=run)
+VERB = Verb(
+    'speed', lambda args: run(args), 'speed on this machine, beside MuJoCo and numpy',
+    'Measure speed: medians of interleaved repetitions. Compare figures of one run only. MuJoCo '
+    'is measured where the extra "bench" is installed. Only when asked for: "batches" '
+    '(docs/scale.md), "export", free runs of the exported MJCF beside our own, effect by effect '
+    '(docs/export.md), and "view", the late samples of the loop with and without the page of view '
+    'live.', (
+        option('--quick', action='store_true', help='rough figures in a few seconds'), JSON,
+        option('--only', nargs='+', choices=SUITES, metavar='SUITE',
+               help=f'some of: {", ".join(SUITES)}'),
+        ROBOT, CONTROLLER), ())
+add_parser = partial(add_verb, VERB)
 
 
 def run(args):

@@ -179,8 +179,3 @@ def _broken(example):
     lines = textwrap.wrap(example, _WIDTH - 4, subsequent_indent='    ', break_on_hyphens=False,
                           break_long_words=False)
     return [f'{line} \\' for line in lines[:-1]] + lines[-1:]
-
-
-def add_batch_options(parser) -> None:
-    """Add --workers and --scheduler to a parser."""
-    add_options(parser, BATCH)
