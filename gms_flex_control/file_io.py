@@ -15,7 +15,7 @@ from typing import Any
 
 from gms_flex_control.errors import ConfigError
 from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent
 
 LARGEST_YAML = 1_000_000  # bytes; parameters, maps and metadata of bags have some thousands
@@ -80,6 +80,21 @@ def read_yaml(path, typ='rt', largest=LARGEST_YAML) -> object:
         return YAML(typ=typ).load(text)
     except RecursionError:
         raise MarkedYAMLError(problem='nested too deeply') from None
+
+
+def checked_yaml(path, error: type, typ='rt') -> object:
+    """Return what `read_yaml` does; an ``error`` in one sentence if that cannot be."""
+    try:
+        return read_yaml(path, typ)
+    except OSError as cause:
+        raise error(f'{path}: cannot be read ({cause.strerror})') from cause
+    except UnicodeDecodeError as cause:
+        raise error(f'{path}: is not UTF-8 text (byte {cause.start})') from cause
+    except YAMLError as cause:
+        mark = getattr(cause, 'problem_mark', None)
+        line = f':{mark.line + 1}' if mark else ''
+        problem = getattr(cause, 'problem', None) or str(cause)
+        raise error(f'{path}{line}: is not valid YAML ({" ".join(problem.split())})') from cause
 
 
 def write_text(path, text) -> None:

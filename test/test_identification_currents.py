@@ -98,7 +98,7 @@ def test_a_load_is_a_body_in_the_frame_at_the_end_of_the_arm(tmp_path):
     ('coupling: {joint6: joint5}', 'coupling must name joints whose motor others turn as well'),
     ('coupling: {joint9: {}}', 'coupling must name joints whose motor others turn as well'),
     ('coupling: {joint6: {joint5: one}}', 'coupling.joint6.joint5 must be a number'),
-    ('load: [', 'is not YAML')])
+    ('load: [', 'is not valid YAML')])
 def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, text, sentence):
     with pytest.raises(ConfigError, match=sentence) as caught:
         stated(tmp_path, text + '\n')

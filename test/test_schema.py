@@ -219,7 +219,7 @@ def test_what_is_wrong_with_an_effect_is_said(joint, lines, sentence, tmp_path):
     ("'/**': 3\n", 'is not a ROS parameter file'),
     ('/**:\n  ros__parameters:\n', 'joints is missing: the robot file lists the names of'),
     ('#' * 1_000_001, 'larger than 1000000 bytes'),
-    (b'\xff\xfe\x00', 'is not a text file in UTF-8'),
+    (b'\xff\xfe\x00', 'is not UTF-8 text'),
     (changed('joint1:\n        mass', 'joint1: [\n        mass'), 'is not valid YAML'),
     (changed('        motor_inertia: 0.006 ', '        # '),
      'arm.joint1.motor_inertia is missing: motor inertia reflected to the joint [kg m^2]'),

@@ -21,10 +21,9 @@ from pathlib import Path
 
 from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
-from gms_flex_control.file_io import read_yaml, write_text
+from gms_flex_control.file_io import checked_yaml, write_text
 from gms_flex_control.params.arm import Body, require_body, together
 import numpy as np
-from ruamel.yaml.error import YAMLError
 
 NAME = 'recording.yaml'
 UNKNOWN = 'unknown'
@@ -50,10 +49,7 @@ def conditions_of(bag) -> Conditions:
     file = _file_of(bag)
     if not file.is_file():
         return Conditions()
-    try:
-        data = read_yaml(file, 'safe')
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        raise ConfigError(f'{file}: is not YAML ({str(error).splitlines()[0]})') from error
+    data = checked_yaml(file, ConfigError, 'safe')
     try:
         values = _mapping(data or {}, _KEYS, '')
         unknown = values.get('load') == UNKNOWN
@@ -74,7 +70,8 @@ def repeat_conditions(bag, new, keys: Sequence[str] = _KEYS, load: Body | None =
 
     A ``load`` is carried beside that of the other.
     """
-    known = (read_yaml(_file_of(bag), 'safe') or {}) if _file_of(bag).is_file() else {}
+    file = _file_of(bag)
+    known = (checked_yaml(file, ConfigError, 'safe') or {}) if file.is_file() else {}
     values = {key: value for key, value in known.items() if key in keys}
     if load is not None:
         whole = together(conditions_of(bag).operation.load, load)

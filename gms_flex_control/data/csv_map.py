@@ -15,8 +15,7 @@ import math
 from typing import Any, NamedTuple, Self
 
 from gms_flex_control.errors import did_you_mean, ImportDataError
-from gms_flex_control.file_io import read_yaml
-from ruamel.yaml.error import YAMLError
+from gms_flex_control.file_io import checked_yaml
 
 _TURN = 2 * math.pi
 # unit -> factor to SI; None: needs more than a factor (see import_map)
@@ -57,20 +56,7 @@ def read_map(path) -> 'MapNode':
 
     ImportDataError if it cannot be read, is no YAML or no mapping.
     """
-    try:
-        data = read_yaml(path)
-    except OSError as error:
-        raise ImportDataError(f'{path}: the map cannot be read ({error.strerror}); '
-                              'give an existing file with --map') from error
-    except UnicodeDecodeError as error:
-        raise ImportDataError(f'{path}: the map is not UTF-8 text (byte {error.start}); '
-                              'is it the log itself?') from error
-    except YAMLError as error:
-        mark = getattr(error, 'problem_mark', None)
-        where = f':{mark.line + 1}' if mark else ''
-        problem = getattr(error, 'problem', None) or str(error)
-        raise ImportDataError(f'{path}{where}: the map is no valid YAML '
-                              f'({" ".join(problem.split())})') from error
+    data = checked_yaml(path, ImportDataError)
     if not hasattr(data, 'lc') or not hasattr(data, 'keys'):
         raise ImportDataError(f'{path}: the map must be a mapping with time and joints, '
                               f'got {type(data).__name__}')

@@ -7,7 +7,7 @@ import io
 from pathlib import Path
 
 from gms_flex_control.errors import ConfigError, ParameterError
-from gms_flex_control.file_io import read_yaml, write_text
+from gms_flex_control.file_io import checked_yaml, write_text
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
@@ -15,7 +15,6 @@ from gms_flex_control.schema import build
 from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.node_values import limits_from_values
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 _WRAPPER = 'ros__parameters'
 _UNBROKEN = 4096           # characters: a line of a written file is never wrapped
@@ -29,18 +28,7 @@ def read_parameters(path, node: str | None = None) -> dict:
     is no ROS parameter file.
     """
     path = Path(path)
-    try:
-        document = read_yaml(path)
-    except OSError as error:
-        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f'{path}: is not a text file in UTF-8') from error
-    except YAMLError as error:
-        mark = getattr(error, 'problem_mark', None)
-        line = f':{mark.line + 1}' if mark else ''
-        problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
-        raise ConfigError(f'{path}{line}: is not valid YAML ({problem})') from error
-    return _flat_sections(document, path, node)
+    return _flat_sections(checked_yaml(path, ConfigError), path, node)
 
 
 def _flat_sections(document, path, node):
