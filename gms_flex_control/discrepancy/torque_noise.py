@@ -54,7 +54,7 @@ def noise_response(likelihood) -> float:
     """Return the rms behind the low-pass of white torque of unit size."""
     motion = likelihood.motions[0]
     white = np.random.default_rng([likelihood.seed, 8, 0]).standard_normal(
-        (len(motion.fine_time), 2 * likelihood.robot.n_joints))
+        (len(motion.samples.time), 2 * likelihood.robot.n_joints))
     rows = likelihood.whitenings[0].torque_rows(np.concatenate(
         [motion.through_filter(side) for side in np.split(white, 2, axis=1)], axis=1))
     return float(np.sqrt(np.mean(rows ** 2)))
