@@ -87,11 +87,19 @@ def test_a_fault_is_refused_in_one_sentence(tmp_path, capsys, base, fault, words
                    '--robot', saved(tmp_path, robot))
 
 
-@pytest.mark.parametrize('base', ['unlike', 'rigid gravity'])
-def test_motion_one_way_only_has_no_friction_of_the_other(tmp_path, capsys, base):
-    recording, robot = faulty.healthy(base)
-    assert_refused(tmp_path, capsys, 'both ways', bag_of(
-        tmp_path, faulty.one_way(recording), robot), '--robot', saved(tmp_path, robot))
+def test_motion_one_way_gives_friction_of_that_way_alone(tmp_path):
+    """The other way is set to it, and has no interval."""
+    recording, robot = faulty.healthy('rigid gravity')
+    assert identified(tmp_path, bag_of(tmp_path, faulty.one_way(recording), robot), '--robot',
+                      saved(tmp_path, robot)) == 0
+    report = json.loads((tmp_path / 'out' / 'report.json').read_text())
+    found = {one['name']: one for joint in report['joints'] for one in joint['estimates']}
+    for j, joint in enumerate(robot.joints):
+        forward, backward = (found[f'friction.{joint}.{way}.coulomb'] for way in (
+            'forward', 'backward'))
+        assert forward['value'] == pytest.approx(robot.friction.forward.coulomb[j], rel=0.1)
+        assert backward['value'] == forward['value']
+        assert 'not identifiable' in backward['flags'] and not forward['flags']
 
 
 def clipped(take):

@@ -74,7 +74,7 @@ class Coordinates:
         free = np.zeros(self.size)
         drop = np.maximum(np.subtract(static, coulomb), 1e-3 * np.asarray(coulomb))
         for k in range(2):
-            free[4 * k:4 * k + 4] = np.log([coulomb[k], drop[k], velocity[k], viscous[k]])
+            free[of_direction(k)] = np.log([coulomb[k], drop[k], velocity[k], viscous[k]])
         free[N_STEADY - 1] = np.log(attraction)
         if self._fixed is None:
             free[self._yields] = np.log(yields)
@@ -93,7 +93,7 @@ class Coordinates:
         rows = parameter_rows(MOST_BLOCKS, self.n_extra)
         theta, directions = np.zeros(rows), np.zeros((rows, self.size))
         for k in range(2):
-            coulomb, drop, velocity, viscous = np.exp(free[4 * k:4 * k + 4])
+            coulomb, drop, velocity, viscous = np.exp(free[of_direction(k)])
             at = PER_DIRECTION * k
             for row, value, column in ((COULOMB, coulomb, 0), (VELOCITY, velocity, 2),
                                        (VISCOUS, viscous, 3)):
@@ -126,6 +126,11 @@ class Coordinates:
         directions[stiffness, self._weights] += d_alpha * (static / yields)[:, None]
         if self._fixed is None:
             directions[stiffness, self._yields] -= np.diag(theta[stiffness])
+
+
+def of_direction(way: int) -> slice:
+    """Return where the free numbers of a Stribeck curve stand, ``way`` 0 forward, 1 backward."""
+    return slice(4 * way, 4 * way + 4)
 
 
 def friction_record(thetas: Sequence[np.ndarray]) -> np.record:

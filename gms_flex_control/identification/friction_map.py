@@ -51,6 +51,7 @@ class Start(NamedTuple):
     attraction: float    # [N m/s]
     yields: np.ndarray   # (N_SPREAD,), of the spread [rad]
     straight: tuple      # of Stribeck, forward and backward: the Stribeck part is narrow
+    unmoved: int | None = None  # direction without motion: 0 forward, 1 backward
 
     def both(self) -> tuple[np.ndarray, np.ndarray]:
         """Return steady parameters (4, 2) forward and backward, as fitted and as straight."""
@@ -165,18 +166,25 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
     ``travel`` is the range of its angle, ``resolution`` the encoder step or noise [rad];
     ``joint`` and ``source`` are for messages; ``level`` is friction [N m] to begin with where
     inertia and gravity are only roughly known, so that what is left of the torque can drive the
-    joint instead of braking it: a warning then says so. Raises IdentificationError if the joint
-    hardly moves, or friction drives it and there is no ``level``.
+    joint instead of braking it: a warning then says so. Of motion one way, friction of the other
+    way begins alike, and a warning says that, too. Raises IdentificationError if the joint hardly
+    moves, or friction drives it and there is no ``level``.
     """
-    directions, lines = [], []
-    for sign, name in ((1.0, 'forward'), (-1.0, 'backward')):
+    directions, lines, ways = [], [], [(1.0, 'forward'), (-1.0, 'backward')]
+    seen = [int(np.sum(sign * friction_map.velocity > 0.0)) for sign, _ in ways]
+    if max(seen) < _FEWEST_WINDOWS:
+        raise IdentificationError(
+            f'{source}: {joint} moves steadily forward {seen[0]} times and backward {seen[1]} '
+            f'times only: record motion both ways, each at least {_FEWEST_WINDOWS} times')
+    unmoved = int(np.argmin(seen)) if min(seen) < _FEWEST_WINDOWS else None
+    if unmoved is not None:
+        warnings.warn(
+            f'{source}: {joint} moves steadily {ways[unmoved][1]} {seen[unmoved]} times only: '
+            'friction that way is set to that of the other way', stacklevel=2)
+    for sign, name in ways if unmoved is None else [ways[1 - unmoved]]:
         rows = np.sign(friction_map.velocity) == sign
         if (rows & friction_map.steady).sum() >= _FEWEST_WINDOWS:
             rows &= friction_map.steady
-        if rows.sum() < _FEWEST_WINDOWS:
-            raise IdentificationError(
-                f'{source}: {joint} moves steadily {name} {rows.sum()} times only; friction has '
-                'two directions: record motion both ways')
         torque = sign * friction_map.torque[rows]
         if np.median(torque) <= 0.0 and level is not None:
             warnings.warn(
@@ -197,8 +205,10 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
             fitted.append(fit(sign * friction_map.velocity[rows], torque))
     finest = max(_FINEST * resolution, 1e-6 * travel, 1e-9)
     widest = max(min(_WIDEST, travel), 20.0 * finest)
+    directions, lines = (one * 2 if unmoved is not None else one for one in (directions, lines))
     return Start(*directions, attraction=directions[0].coulomb / _LAG,
-                 yields=np.geomspace(finest, widest, N_SPREAD), straight=tuple(lines))
+                 yields=np.geomspace(finest, widest, N_SPREAD), straight=tuple(lines),
+                 unmoved=unmoved)
 
 
 def repeatability(segments: Sequence[Segment], arm: ArmParams, joint: int) -> float:

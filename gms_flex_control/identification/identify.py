@@ -203,7 +203,8 @@ class Data:
         say('comparing with a fit of the torque')
         self.choices = _per_joint(len(fits), lambda j: choose_fit(
             self.bundle, j, fits, self.step[j]))
-        return [choice.fit for choice in self.choices]
+        return [choice.fit.alike_both_ways(start.unmoved) for choice, start in zip(
+            self.choices, self.starts, strict=True)]
 
     def results(self, fits) -> tuple:
         """Return a JointResult per joint, and the robot with the arm found."""

@@ -9,9 +9,14 @@ Numbers that may not be chosen are fitted as well: they show what depends on the
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
-from gms_flex_control.identification.coordinates import Coordinates, equal_blocks, MOST_BLOCKS
+from gms_flex_control.identification.coordinates import (
+    Coordinates,
+    equal_blocks,
+    MOST_BLOCKS,
+    of_direction,
+)
 from gms_flex_control.identification.least_squares import Prior, prior_of, refine
 from gms_flex_control.identification.objective import (
     Bundle,
@@ -51,6 +56,15 @@ class JointFit(NamedTuple):
     def theta(self) -> np.ndarray:
         """Return the parameters."""
         return self.coordinates.parameters(self.free)
+
+    def alike_both_ways(self, unmoved) -> Self:
+        """Return it with friction of a direction without motion (0, 1 or None) as the other's."""
+        if unmoved is None:
+            return self
+        free, held = self.free.copy(), self.held.copy()
+        for one in (free, held):
+            one[of_direction(unmoved)] = one[of_direction(1 - unmoved)]
+        return self._replace(free=free, held=held)
 
 
 def _fit_candidate(bundle, joint, thetas, n_blocks, n_extra):
