@@ -208,9 +208,9 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     found[:, :count] = values[:count], error[:count]
     friction = columns[:, count:wave.start] @ values[count:wave.start]
     levels = _levels(friction, rows.rate)
-    if min(levels) < _LOPSIDED * max(levels):
+    if np.ptp(np.sign(rows.rate)) and min(levels) < _LOPSIDED * max(levels):  # moves both ways
         found[:, 3] = 0.5 * (levels[0] - levels[1]), error[count]
-    level = max(0.5 * sum(levels), _LEAST * float(np.std(rows.torque)))
+    level = max(sum(levels) / np.ptp([*np.sign(rows.rate), 0.0]), _LEAST * float(np.std(rows.torque)))
     return AxisFit(*map(float, found[0]), level, found[1], bool(has_gravity),
                    float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(known),
                    float(values[0] * np.std(rows.acceleration) / (np.std(rows.torque) or 1.0)),
