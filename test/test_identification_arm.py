@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gms_flex_control.data.csv_import import import_csv
+from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_fit import estimate_arm
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.axis_fit import fit_axis, fit_motor, held_torque, rows_of
@@ -42,6 +43,25 @@ def test_gravity_is_not_made_up_where_there_is_none():
 def test_a_torque_too_large_for_asymmetry_of_friction_is_a_constant():
     fit = fit_axis(rows_of([pendulum(pull=0.0, constant=0.2)], held_torque(0), 0), 'swing', '-')
     assert fit.constant == pytest.approx(0.2, rel=0.03)
+
+
+def test_motion_one_way_has_no_constant_torque_beside_friction():
+    """Half of it would be as much friction, and half of the friction a constant torque."""
+    take = pendulum(pull=0.0)
+    forward = np.cumsum(np.abs(np.diff(take.q_link[:, 0], prepend=take.q_link[0, 0])))
+    rate = np.gradient(forward, take.time)
+    torque = 0.06 + 0.01 * rate + 0.02 * np.gradient(rate, take.time)
+    fit = fit_axis(rows_of([replace(take, q_link=forward[:, None], tau_motor=torque[:, None])],
+                           held_torque(0), 0), 'swing', 'here')
+    assert fit.constant == 0.0
+    assert fit.friction == pytest.approx(0.06 + 0.01 * np.median(rate), rel=0.1)
+
+
+def test_a_torque_that_never_changes_tells_no_inertia():
+    take = pendulum()
+    with pytest.raises(IdentificationError, match='never changes'):
+        fit_axis(rows_of([replace(take, tau_motor=np.full_like(take.tau_motor, 0.3))],
+                         held_torque(0), 0), 'swing', 'here')
 
 
 def test_a_ripple_of_the_gear_is_found_and_friction_is_not_bent_by_it():

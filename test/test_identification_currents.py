@@ -6,6 +6,7 @@
 from dataclasses import replace
 import json
 
+import faulty
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.conditions import (
     Conditions,
@@ -17,8 +18,11 @@ from gms_flex_control.data.conditions import (
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.discrepancy.result import BAD_DATA
+from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.errors import BagError, ConfigError, IdentificationError
 from gms_flex_control.identification.identify import identify
+from gms_flex_control.schema.files import save_robot
 from identified_axis import axis, experiment
 import numpy as np
 import pytest
@@ -59,11 +63,46 @@ def test_friction_of_currents_is_in_amperes_in_table_report_and_json(amperes, tm
 
 
 def test_currents_do_not_move_masses_in_kilograms(amperes):
-    recording = replace(amperes, scale_sd=[np.inf])
+    recording = replace(amperes, scale_sd=[np.inf], command=np.nan)
     with pytest.raises(IdentificationError, match='torque constant of joint1 is unknown'):
         identify([recording], axis(rigid=True))
+    result = find_discrepancy([recording], axis(rigid=True))
+    assert result.verdict == BAD_DATA and 'torque constant' in result.words
+
+
+def test_a_current_among_torques_is_refused():
+    """Nothing says how much of the torque of one joint a current of another is."""
+    recording, robot = faulty.healthy('rigid gravity')
     with pytest.raises(BagError, match='state it in its recording.yaml'):
-        motion_of(recording, axis(rigid=True))
+        motion_of(replace(recording, scale_sd=[np.inf, 0.0]), robot)
+
+
+def test_discrepancy_goes_on_in_amperes(amperes, tmp_path, capsys):
+    """A level of friction that is believed a fifth too low is found in amperes."""
+    recording = replace(amperes, command=np.nan)
+    write_recording(tmp_path / 'bag', recording, ('',))
+    (tmp_path / 'bag' / 'recording.yaml').write_text('torque_constant: {joint1: unknown}\n')
+    robot = axis(rigid=True)
+    arm = robot.arm
+
+    def per(torque):
+        return torque / CONSTANT
+    sides = {side: replace(one, static=per(0.8 * one.static), coulomb=per(0.8 * one.coulomb),
+                           viscous=per(one.viscous))
+             for side, one in (('forward', robot.friction.forward),
+                               ('backward', robot.friction.backward))}
+    friction = replace(robot.friction, stiffness=per(robot.friction.stiffness),
+                       attraction=per(robot.friction.attraction), **sides)
+    save_robot(replace(robot, friction=friction, arm=replace(
+        arm, inertia=per(arm.inertia), motor_inertia=per(arm.motor_inertia))),
+        tmp_path / 'robot.yaml')
+    assert main(['discrepancy', str(tmp_path / 'bag'), '--robot', str(tmp_path / 'robot.yaml'),
+                 '--out', str(tmp_path / 'out')]) == 1
+    text = capsys.readouterr().out
+    page = (tmp_path / 'out' / 'report.html').read_text()
+    assert 'N m' not in text and 'N m' not in page
+    found = json.loads((tmp_path / 'out' / 'report.json').read_text())
+    assert 'coulomb_error' in str(found['findings'])
 
 
 def test_a_known_constant_makes_torques(amperes, tmp_path):

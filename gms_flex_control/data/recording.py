@@ -89,6 +89,11 @@ class Recording:
         """Return the number of joints."""
         return len(self.joints)
 
+    @property
+    def has_currents(self) -> bool:
+        """Return whether the torques of all joints are currents of unknown torque constant."""
+        return bool(np.isinf(self.scale_sd).all())
+
     def of_joints(self, joints) -> 'Recording':
         """Return the Recording of some joints, in that order; BagError if it lacks one."""
         if tuple(joints) == tuple(self.joints):

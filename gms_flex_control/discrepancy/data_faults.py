@@ -36,6 +36,8 @@ def _faults(recording, robot):
     if any(finding.severity == 'refuse' for finding in timing):
         return timing  # nothing can be computed along such a time
     recording = with_links(recording, robot)
+    if recording.has_currents and robot.arm.kind == 'decoupled':
+        recording = replace(recording, scale_sd=0.0)  # of the robot file as well
     load = recording.operation.load
     if load is not None and not why_not_carried(load, robot.arm):
         robot = replace(robot, arm=carrying(robot.arm, load))

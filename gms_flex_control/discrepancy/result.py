@@ -160,6 +160,7 @@ class Recorded(NamedTuple):
     """What is said of the recordings themselves."""
 
     sources: tuple = ()      # of str
+    currents: bool = False   # in amperes, the robot's torques as well
     faults: tuple = ()       # of str, what is wrong with them
     differences: tuple = ()  # of str: what is particular about one, beyond its prior
     noise: tuple = ()        # of Noise

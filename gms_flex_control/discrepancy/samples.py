@@ -117,7 +117,7 @@ def require_known(recording, robot) -> None:
     if why_not:
         raise BagError(f'{recording.source}: {why_not}')
     loose = np.flatnonzero(~np.isfinite(recording.scale_sd))
-    if len(loose):
+    if len(loose) and not (recording.has_currents and robot.arm.kind == 'decoupled'):
         raise BagError(f'{recording.source}: the torque constant of {recording.joints[loose[0]]} '
                        "is 'unknown': state it in its recording.yaml; 'gms_flex identify "
                        "--estimate all' finds it where another constant or a load is known")

@@ -113,7 +113,8 @@ def find_discrepancy(
         if faults:
             result = result.saying(f'About the data: {describe.first_of(faults, 2)}')
     return replace(
-        result, data=result.data._replace(faults=faults, sources=sources),
+        result, data=result.data._replace(faults=faults, sources=sources, currents=any(
+            recording.has_currents for recording in recordings)),
         searched=result.searched._replace(seconds=time.monotonic() - begun))
 
 

@@ -47,6 +47,7 @@ _OWN_SCALE = 50    # rows from which a group has a scale of its own: its median 
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there
 _WORTH = 0.97      # of the held-out error: gravity or a ripple that helps less is not there
+_CONSTANT = 1e-6   # of a torque: rounding
 _LOPSIDED = 0.5    # of the friction the other way: below this there is a constant torque
 _LEAST = 0.02      # of the torque: friction to begin with, at least
 _RIPPLE_CLEAR = 3.0   # standard errors: a ripple below is not there
@@ -185,6 +186,10 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
         raise IdentificationError(f'{source}: {joint} moves in {moving.sum()} samples only; '
                                   'record longer motion to identify its inertia')
     rows = Rows(*(part[moving] for part in rows))
+    if np.ptp(rows.torque) <= _CONSTANT * np.abs(rows.torque).max():
+        raise IdentificationError(f'{source}: the torque of {joint} never changes '
+                                  f'({rows.torque[0]:.3g} N m) while it moves, which tells no '
+                                  'inertia; record the torque that its drive gives')
     wave = np.empty((len(moving), 0)) if wave is None else wave
     gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
     others = np.concatenate([rows.acceleration[:, None], friction_regressors(rows.rate),
@@ -208,9 +213,10 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     found[:, :count] = values[:count], error[:count]
     friction = columns[:, count:wave.start] @ values[count:wave.start]
     levels = _levels(friction, rows.rate)
-    if np.ptp(np.sign(rows.rate)) and min(levels) < _LOPSIDED * max(levels):  # moves both ways
+    both_ways = np.ptp(np.sign(rows.rate)) > 0.0
+    if both_ways and min(levels) < _LOPSIDED * max(levels):
         found[:, 3] = 0.5 * (levels[0] - levels[1]), error[count]
-    level = max(sum(levels) / np.ptp([*np.sign(rows.rate), 0.0]), _LEAST * float(np.std(rows.torque)))
+    level = max(sum(levels) / (1.0 + both_ways), _LEAST * float(np.std(rows.torque)))
     return AxisFit(*map(float, found[0]), level, found[1], bool(has_gravity),
                    float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(known),
                    float(values[0] * np.std(rows.acceleration) / (np.std(rows.torque) or 1.0)),

@@ -12,7 +12,7 @@ from gms_flex_control.discrepancy.compared import free_runs_of
 from gms_flex_control.discrepancy.gap import HORIZON
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import in_words
-from gms_flex_control.params.arm import in_units
+from gms_flex_control.params.arm import in_currents, in_units
 from gms_flex_control.reports.answers import COLUMNS, discrepancy_answer, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_values import comparison_rows
 from gms_flex_control.reports.figures import file_stem, save_figure
@@ -42,6 +42,8 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=(), becomes=N
 
 def units_of(result) -> Callable:
     """Return the function that puts a text into the units of the robot of a Discrepancy."""
+    if result.data.currents:
+        return in_currents
     if result.robot is None or result.robot.arm.axes == 'rotary':
         return str
     return partial(in_units, result.robot.arm)
