@@ -129,8 +129,9 @@ def recording_of(robot: RobotParams, described: RobotParams, hidden: Sequence[Hi
     """
     Return the recording of a robot under PD control of its motors along sinusoids.
 
-    ``described`` is the robot of the URDF, from which ``robot`` differs; white torque noise is
-    ``noise`` of Coulomb friction; with ``motors_only`` links of flexible joints are not read.
+    ``described`` is the robot of the URDF, from which ``robot`` differs; white torque noise, in
+    commands and efforts alike, is ``noise`` of Coulomb friction; with ``motors_only`` links of
+    flexible joints are not read.
     """
     import mujoco
 
@@ -191,7 +192,8 @@ def recording_of(robot: RobotParams, described: RobotParams, hidden: Sequence[Hi
     return Recording(
         joints=robot.joints, time=PERIOD * np.arange(samples), q_link=read, dq_link=nothing,
         q_motor=scale * np.round(motor / scale), dq_motor=nothing, tau_motor=torque,
-        command=nothing, reference=np.full((samples, 5, n), np.nan), friction_hat=nothing,
+        command=np.concatenate([torque[1:], torque[-1:]]),  # efforts are of the sample that ended
+        reference=np.full((samples, 5, n), np.nan), friction_hat=nothing,
         source=f'hidden arm, seed {seed}')
 
 
