@@ -56,7 +56,7 @@ OPTIONS = [
         ('--set gains.joint1.kd_link=-1', 'gains.joint1.kd_link must be'),
         ('--set rate=fast', "rate must be a number [Hz], got 'fast'"),
         ('--set rate=.nan', 'rate must be finite, got nan'),
-        ('--robot {arm}', '--controller is required: the default gains are for joint1, joint2'),
+        ('--robot {arm}', '--controller needs a file: gains of config/ are for joint1, joint2'),
         ('--compensation gsm', "did you mean 'gms'?"),
         ('--trajectory sinus', '--trajectory sinus: no such file'),
         ('--trajectory absent.yaml', 'absent.yaml: cannot be read'),

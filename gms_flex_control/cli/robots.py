@@ -28,7 +28,10 @@ def simulate(args) -> int:
     modes = args.compensation or [None]
     several = len(args.trajectory) * len(modes) > 1
     robot, results = args.robot or [robot_file()], []
-    controller = controller_of(args, load_robot(robot).joints)
+    joints = load_robot(robot).joints
+    controller = controller_of(args, joints)
+    if any(not Path(motion).suffix for motion in args.trajectory):
+        _require_paper('--trajectory', 'motions', joints, 'gms_flex tune or plan write')
     for motion, mode in product(args.trajectory, modes):
         files = [*robot, controller, trajectory_file(motion)]
         chosen = overrides | ({'compensation': mode} if mode else {})
@@ -56,12 +59,18 @@ def simulate(args) -> int:
 
 def controller_of(args, joints) -> list | Path:
     """Return the files of --controller, by default the paper's if they are for these joints."""
-    known = load_robot(robot_file()).joints
-    if not args.controller and tuple(joints) != known:
-        raise ConfigError(
-            f'--controller is required: the default gains are for {", ".join(known)}, this robot '
-            f'has {", ".join(joints)}; gms_flex tune proposes gains')
+    if not args.controller:
+        _require_paper('--controller', 'gains', joints, 'gms_flex tune proposes')
     return args.controller or controller_file()
+
+
+def _require_paper(option, what, joints, way_out):
+    """Refuse what config/ has for the arm of the paper where joints are other ones."""
+    known = load_robot(robot_file()).joints
+    if tuple(joints) != known:
+        raise ConfigError(
+            f'{option} needs a file: {what} of config/ are for {", ".join(known)}, this robot has '
+            f'{", ".join(joints)}; {way_out} some')
 
 
 def parse_override(text: str) -> tuple:

@@ -124,6 +124,10 @@ def _write(args, robot, proposal, demands):
         tuning_page.margins_table(proposal.judgement, robot)])
     save_values(controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
                 comment=comment)
+    if args.robot:
+        sizes = {f'trajectory.{joint}.amplitude': args.amplitude for joint in robot.joints}
+        save_values({'trajectory.type': 'sinusoid'} | sizes, out / 'trajectory.yaml',
+                    comment='The sinusoid that the gains were tried with.')
     save_figure(tuning_page.tuning_figure(robot, proposal.gains, demands.timing),
                 out / 'tuning.png')
 

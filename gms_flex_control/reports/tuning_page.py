@@ -70,7 +70,7 @@ def answer_of(proposal, trials, robot, demands, files, folder) -> Answer:
         return Answer(f'These gains miss {len(proposal.unmet)} '
                       f'requirement{"s" * (len(proposal.unmet) > 1)} (NOT MET, above).', columns,
                       numbers, command('tune', '--help'))
-    again = ('--robot', *files) if files else ()
+    again = ('--robot', *files, '--trajectory', Path(folder) / 'trajectory.yaml') if files else ()
     return Answer(
         f'With these gains and compensation {mode} the links follow within {numbers[0].after} '
         'mrad (rms) in simulation, and the loop keeps the required margins; the noise floor is '
