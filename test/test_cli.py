@@ -8,7 +8,6 @@ from itertools import chain
 import json
 import os
 from pathlib import Path
-import pty
 import re
 import shlex
 import signal
@@ -234,22 +233,6 @@ def test_ctrl_c_ends_workers_in_silence(tmp_path):
     _, told = process.communicate(timeout=60)
     assert (process.returncode, told) == (
         130, 'python -m bench score: interrupted; the same command goes on where it was\n')
-
-
-@pytest.mark.parametrize('arguments', [['--help'], ['check-gains'], ['info', '/no/such/bag']])
-def test_no_colour_comes_from_it(arguments):
-    """Not even on a terminal, so there is none for NO_COLOR to forbid."""
-    terminal, end = pty.openpty()
-    tool_in({'TERM': 'xterm-256color', 'FORCE_COLOR': '1'}, arguments, stdout=end, stderr=end)
-    os.close(end)
-    shown = b''
-    try:
-        while part := os.read(terminal, 4096):
-            shown += part
-    except OSError:  # so Linux tells the end
-        os.close(terminal)
-    assert shown
-    assert b'\x1b[' not in shown
 
 
 @pytest.mark.parametrize('typed, offered', [

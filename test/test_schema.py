@@ -111,14 +111,6 @@ def test_a_saved_robot_is_read_back_as_it_was(robot, tmp_path):
     assert text.startswith('# Found by identification\n# of a bag\n/**:\n')
 
 
-def test_a_later_file_wins_key_by_key(robot, tmp_path):
-    later = written(tmp_path, '/**:\n  ros__parameters:\n    arm:\n      joint2:\n'
-                              '        stiffness: 2.5\n', 'later.yaml')
-    both = load_robot([CONFIG / 'robot.yaml', later])
-    np.testing.assert_array_equal(both.arm.stiffness, [1.5, 2.5])
-    np.testing.assert_array_equal(both.arm.mass, robot.arm.mass)
-
-
 def test_whole_numbers_are_taken_for_doubles(tmp_path):
     path = written(tmp_path, changed('mass: 1.0 ', 'mass: 2 '))
     assert load_robot(path).arm.mass[1] == 2.0
@@ -137,10 +129,7 @@ WRONG = {
                           "arm.joint1.mass must be a number [kg], got 'heavy'"),
     'truth for a number': ('mass: 2.3 ', 'mass: true ',
                            'arm.joint1.mass must be a number [kg], got True'),
-    'no value': ('mass: 2.3 ', 'mass: ', 'arm.joint1.mass must be a number [kg], got None'),
-    'a date': ('mass: 2.3 ', 'mass: 2020-01-01 ', 'arm.joint1.mass must be a number [kg], got '),
     'not a number': ('mass: 2.3 ', 'mass: .nan ', 'arm.joint1.mass must be finite, got nan'),
-    'infinite': ('mass: 2.3 ', 'mass: .inf ', 'arm.joint1.mass must be finite, got inf'),
     'beyond all doubles': ('mass: 2.3 ', f'mass: 1{400 * "0"} ',
                            'arm.joint1.mass must be finite, got inf'),
     'negative inertia': ('inertia: 0.0075 ', 'inertia: -0.0075 ',
@@ -161,7 +150,6 @@ WRONG = {
     'text in a list': ('[2.26, ', '[two, ', 'friction.joint1.stiffness must be a list of numbers '
                        "[N m/rad], got ['two', 5.93"),
     'nan in a list': ('[2.26, ', '[.nan, ', 'friction.joint1.stiffness must be finite, got nan'),
-    'a list in a list': ('[2.26, ', '[[2.26], ', 'friction.joint1.stiffness must be a list of '),
     'a text for a list': ('joints: [joint1, joint2]', 'joints: joint1',
                           "joints must be a list of texts, got 'joint1'"),
     'no joints': ('joints: [joint1, joint2]', 'joints: []', 'joints is empty: name at least one'),

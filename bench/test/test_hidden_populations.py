@@ -37,21 +37,6 @@ def robot_of(seed, plant='soft'):
     return plants.draw_robot(np.random.default_rng(seed), plant)[0]
 
 
-@pytest.mark.parametrize(('kind', 'seed', 'numbers'), [
-    ('clean', 3, (0.0037699111843077517, 0.03298672286269283, 0.009992183378168935,
-                  -0.0012566370614359172, 0.008148427347760528, 1.2911661679045268)),
-    ('double', 8, (0.0012566370614359172, -0.0009424777960769379, -0.09224599410484541,
-                   -0.003141592653589793, 0.007390283125628748, 1.3831171886947131))])
-def test_home_is_what_was_drawn_before_there_were_populations(kind, seed, numbers):
-    """Encoders, torque and belief, printed by the code before."""
-    case = make_case(kind, seed, duration=4.0)
-    first, nominal = case.recording, case.nominal
-    np.testing.assert_allclose(
-        (first.q_link[1500, 0], first.q_motor[1500, 1], first.command[1500, 0],
-         case.held_out.q_link[-1, 1], nominal.arm.inertia[1], nominal.friction.attraction[0]),
-        numbers, rtol=1e-7)
-
-
 @pytest.mark.parametrize('name', [name for name in POPULATIONS if name != 'mujoco']
                          + [pytest.param('mujoco', marks=needs_mujoco)])
 def test_a_population_is_what_its_row_says(name):
