@@ -81,9 +81,8 @@ def test_an_effect_has_the_odds_of_one_among_all_against_it():
     arm = SimpleNamespace(rigid=[True], stiffness=[np.inf])
     with_one = Fitted(SimpleNamespace(effects=(told,), joints=('j',), arm=arm), model.x,
                       model.rows, model.sums)
-    given.scales_of = lambda joint: Scales(0.1, 1.0, 0.0, 0.0, 1.0, 0.01, 0.1, Travel(-1.0, 1.0),
-                                           2.0,
-                                           20.0)
+    given.scales_of = lambda joint: Scales(0.1, 1.0, 0.0, 0.0, 1.0, 0.01, 0.1,
+                                           Travel(-1.0, 1.0, 2.0), 20.0)
     columns = np.concatenate([slopes, np.zeros((1, 12))])
     one = [state_of(given, with_one, columns, count).evidence for count in (2, 200)]
     assert one[0] - one[1] == pytest.approx(2.0 * np.log(100.0))

@@ -22,7 +22,7 @@ import pytest
 pytestmark = pytest.mark.fast
 
 SCALES = Scales(friction=0.1, torque=0.5, spring=0.3, torsion=0.2, speed=0.5, inertia=0.005,
-                link_inertia=0.1, travel=Travel(-1.0, 1.0), turned=2.0, duration=20.0, supply=12.0,
+                link_inertia=0.1, travel=Travel(-1.0, 1.0, 2.0), duration=20.0, supply=12.0,
                 mass=2.5)
 
 

@@ -114,7 +114,7 @@ def test_every_effect_that_may_be_drawn_is_of_usual_size_and_allowed(name, robot
     """As a robot file with it is read; half to one and a half times what is usual."""
     kind, rng = registry.find(name), np.random.default_rng(1)
     scales = [Scales(friction=0.1, torque=1.0, spring=0.3, torsion=0.05, speed=0.4, inertia=5e-3,
-                     link_inertia=0.1, travel=Travel(-1.0, 1.0), turned=2.0, duration=20.0)] * 2
+                     link_inertia=0.1, travel=Travel(-1.0, 1.0, 2.0), duration=20.0)] * 2
     for _ in range(5):
         spec = draw_effect(rng, name, robot, scales)
         given = dict(zip((one.name for one in kind.parameters), spec.values, strict=True))

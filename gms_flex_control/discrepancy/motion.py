@@ -155,8 +155,8 @@ def scales_of(motions, robot) -> list:
                 robot.friction.forward, robot.friction.backward)])),
             torque=float(np.abs(torque).max()), spring=spring, torsion=torsion, speed=speed,
             inertia=float(arm.motor_inertia[j]), link_inertia=float(arm.link_inertia[j]),
-            mass=float(arm.mass.sum()), travel=Travel(float(link.min()), float(link.max())),
-            turned=float(np.ptp(motor)),
+            mass=float(arm.mass.sum()), travel=Travel(
+                float(link.min()), float(link.max()), float(np.ptp(motor))),
             duration=float(max(one.time[-1] - one.time[0] for one in motions)),
             supply=min(float(one.samples.supply.mean()) for one in motions),
             count=max(encoder_step(one.samples.readings[:, 0, j], one.samples.noise[0, j])

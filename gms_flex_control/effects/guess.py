@@ -17,14 +17,15 @@ HIGHEST_ORDER = 48.0  # of waves over the motor angle that are guessed; data sho
 
 
 class Travel(NamedTuple):
-    """Between which angles a link moved."""
+    """Between which angles a link moved, and how far its motor turned."""
 
     lowest: float   # [rad]
     highest: float  # [rad]
+    turned: float   # between the motor's lowest and highest angle [rad]
 
     @property
     def span(self) -> float:
-        """Return the distance of both [rad]."""
+        """Return how far the link moved [rad]."""
         return self.highest - self.lowest
 
 
@@ -38,8 +39,7 @@ class Scales(NamedTuple):
     speed: float      # rms of the link's rate [rad/s]
     inertia: float    # J [kg m^2]
     link_inertia: float  # about the joint [kg m^2]
-    travel: Travel    # of the link
-    turned: float     # span of the motor angle [rad]
+    travel: Travel
     duration: float   # [s]
     supply: float = 0.0  # mean voltage of the supply [V]; 0 where it is not known
     fine_orders: tuple = ()  # of waves over the motor angle that stand out [1/rad]

@@ -153,7 +153,7 @@ class TorqueRipple(Term):
                   searched=(1.5, math.inf)),  # a slower wave is a constant and a slope
         Parameter('phase', 'rad', 'phase at q_motor = 0'))
     guesses = staticmethod(lambda s: waves(
-        0.05 * s.friction, (*orders(s.turned, HIGHEST_ORDER, 2.0), *s.fine_orders)))
+        0.05 * s.friction, (*orders(s.travel.turned, HIGHEST_ORDER, 2.0), *s.fine_orders)))
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
