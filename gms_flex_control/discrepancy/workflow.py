@@ -50,6 +50,7 @@ from gms_flex_control.discrepancy.thresholds import (
     WORSE,
 )
 from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
+from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -200,8 +201,22 @@ def _searched(likelihood, options, say):
     # beside more effects there is less that may be taken for noise
     likelihood = likelihood.with_noise(np.minimum(noise, white_noise(
         likelihood, likelihood.fitted(model.robot, model.x))))
-    return likelihood, search(likelihood, most=options.most, excluded=options.without,
-                              begin=found, near=near, say=say)
+    found = search(likelihood, most=options.most, excluded=options.without, begin=found,
+                   near=near, say=say)
+    hardly = _hardly_acting(likelihood, found.best)
+    if hardly:
+        kept = tuple(one for one in found.tried if not _hardly_acting(likelihood, one))
+        found = found._replace(dictionary=None, tried=kept,
+                               best=max(kept, key=lambda state: state.evidence))
+        found = search(likelihood, most=options.most, excluded=(*options.without, *hardly),
+                       begin=found, near=near, say=say)
+    return likelihood, found
+
+
+def _hardly_acting(likelihood, state):
+    """Return the names of effects of a State of which the motion tells too little."""
+    return {spec.name for spec in state.model.robot.effects[likelihood.known:]
+            if find(spec.name).hardly_acts(spec.values, likelihood.scales_of(spec.joint))}
 
 
 def _sound(likelihood, found):

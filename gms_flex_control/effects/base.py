@@ -126,6 +126,11 @@ class Effect(ABC):
         return None
 
     @staticmethod
+    def hardly_acts(values, scales) -> bool:
+        """Return whether motion of Scales tells too little of it to name it at such values."""
+        return False
+
+    @staticmethod
     def holding_torque(values) -> float:
         """Return the friction torque [N m] that it adds where a motor stands still."""
         return 0.0

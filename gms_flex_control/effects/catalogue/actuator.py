@@ -50,6 +50,9 @@ class ActuatorDeadzone(Term):
         s[TORQUE] -= min(max(s[TORQUE], -p[0]), p[0])
 
 
+_EXCEEDED = 0.8  # of the largest command: a limit above
+
+
 class ActuatorSaturation(Term):
     """u -> clip(u, limit)."""
 
@@ -62,6 +65,8 @@ class ActuatorSaturation(Term):
     of_one_size = True
     parameters = (Parameter('limit', 'N m', 'largest torque either way', lower=0.0),)
     guesses = staticmethod(lambda s: sizes(s.torque * np.linspace(0.2, 0.95, 16)))
+    # near the peaks few moments tell, and there any torque that is late or wrong looks like it
+    hardly_acts = staticmethod(lambda values, scales: values[0] > _EXCEEDED * scales.torque)
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
