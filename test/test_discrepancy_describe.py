@@ -15,12 +15,12 @@ from gms_flex_control.discrepancy.describe import (
     of_not_added,
     torque_scale,
 )
-from gms_flex_control.discrepancy.findings import Worth
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.remainder import signature_of
 from gms_flex_control.discrepancy.result import Discrepancy, FOUND, Noise, Signature
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.discrepancy.workflow import _known_off
+from gms_flex_control.discrepancy.worth import Worth
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest

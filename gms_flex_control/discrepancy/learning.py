@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.discrepancy.evidence import State, state_of
-from gms_flex_control.discrepancy.findings import plausible_limit
 from gms_flex_control.discrepancy.fitting import (
     at_values,
     effect_columns,
@@ -34,6 +33,7 @@ from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
 from gms_flex_control.discrepancy.result import Discrepancy, LearnedTerm
 from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, PLAUSIBLE, UNSEEN
 from gms_flex_control.discrepancy.validation import gain_of
+from gms_flex_control.discrepancy.worth import plausible_limit
 from gms_flex_control.effects import learned as shapes
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np

@@ -17,7 +17,6 @@ from gms_flex_control.discrepancy.findings import (
     findings_of,
     is_noisy,
     judged,
-    plausible_limit,
     predicting_subset,
     predictive,
 )
@@ -50,6 +49,7 @@ from gms_flex_control.discrepancy.thresholds import (
     WORSE,
 )
 from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
+from gms_flex_control.discrepancy.worth import plausible_limit
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import RobotParams
 import numpy as np

@@ -1,0 +1,196 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+What each effect of a model is worth, and the model without those that are worth nothing.
+
+An effect is worth something if its evidence and held-out prediction both speak for it.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy.dictionary import may_join
+from gms_flex_control.discrepancy.evidence import finite, State, state_of
+from gms_flex_control.discrepancy.fitting import (
+    fit,
+    informative,
+    is_at_limit,
+    is_within,
+    prior_of,
+    refitted,
+    without,
+)
+from gms_flex_control.discrepancy.likelihood import Fitted
+from gms_flex_control.discrepancy.search import Found
+from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, PLAUSIBLE, UNSEEN
+from gms_flex_control.discrepancy.validation import Gain, gain_of, prediction_cost
+from gms_flex_control.effects.registry import find
+import numpy as np
+
+_OF_INERTIA = ('inertia', 'motor_inertia', 'gravity')
+
+
+class Worth(NamedTuple):
+    """One effect of a model and what it is worth."""
+
+    index: int         # among the robot's effects
+    torque: float      # rms of what it contributes [N m]
+    share: float       # of its rows that nothing else can make
+    loss: float        # cost of its absence, known parameters no farther off than plausible
+    evidence: float    # 2 log evidence that it adds
+    outright: float    # likewise, known parameters no farther off than plausible without it
+    gain: Gain         # on held-out blocks
+    less: Fitted       # the model without it, known parameters plausible
+    rest: State        # likewise, known parameters anywhere
+
+    @property
+    def weight(self) -> float:
+        """
+        Return by what effects are ranked [N m]: between all its torque and what is its alone.
+
+        A large effect that others can make the better part of is large all the same.
+        """
+        return self.torque * self.share ** 0.25
+
+    def is_real(self, caution=1.0) -> bool:
+        """Return whether evidence and held-out data speak for it, with so much ``caution``."""
+        return self.evidence > EVIDENCE and self.gain._replace(
+            sigmas=self.gain.sigmas / caution).is_real
+
+
+def plausible_limit(likelihood, model) -> np.ndarray:
+    """
+    Return how far known parameters may go where they stand for an effect of a model, (P,).
+
+    In standard deviations of their priors; as far as the model has them in any case.
+    """
+    return np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
+
+
+def _worth_of(likelihood, found, i):
+    """Return what the i-th effect of a search's end is worth."""
+    model, columns = found.best.model, found.best.columns
+    spec = model.robot.effects[i]
+    less, others = without(likelihood, model, columns, i)
+    change = less.rows - model.rows
+    own, loss = _beside(likelihood, model, less, others, change)
+    anything, limit = fit(likelihood, less.robot, model.x, others), plausible_limit(
+        likelihood, model)
+    plausible = anything if is_within(likelihood, anything, limit) else fit(
+        likelihood, less.robot, model.x, others, plausible=limit)
+    gain = gain_of(likelihood, (model, columns), (plausible, others), change, limit)
+    if is_at_limit(spec, model.robot) or (find(spec.name).of_feedback and not _predicts(
+            likelihood, found, spec, plausible)):
+        gain = gain._replace(nats=min(gain.nats, 0.0))
+    rest = state_of(likelihood, anything, others, found.hypotheses)
+    evidence = finite(found.best.evidence - rest.evidence)
+    return Worth(i, likelihood.torque_rms(less, model), min(loss / own, 1.0) if own > 0.0 else 0.0,
+                 max(plausible.cost - model.cost, 0.0), evidence,
+                 evidence + plausible.cost - anything.cost, gain, plausible, rest)
+
+
+def _beside(likelihood, model, less, others, change):
+    """Return the squares of what an effect changes, and of what nothing else can make of it."""
+    weight = likelihood.weights(model.sums.groups)
+    pull = prior_of(likelihood, less).pull
+    kept = np.ones(len(others), dtype=bool)
+    kept[:len(model.x)] = likelihood.resting(less.robot) | ~likelihood.resting(model.robot)
+    used = informative(likelihood, less, others)[kept]
+    gram = (used * weight) @ used.T + np.diag(pull[kept])
+    slope = used @ (weight * change)
+    own = float(change @ (weight * change))
+    return own, max(own - float(slope @ np.linalg.lstsq(gram, slope, rcond=1e-12)[0]), 0.0)
+
+
+def _predicts(likelihood, found, spec, less):
+    """Return whether an effect makes prediction one sample ahead better, inertia as it is."""
+    model = found.best.model
+    inertia = np.array([one.name in _OF_INERTIA for one in likelihood.nuisances], dtype=bool)
+    with_it, without_it = prediction_cost(
+        likelihood, [(model.robot, model.x), (less.robot, np.where(inertia, model.x, less.x))],
+        spec.joint)
+    return without_it - with_it > EVIDENCE + 2.0 * np.log(found.hypotheses)
+
+
+def caution_of(likelihood) -> float:
+    """Return times as many standard errors as usual that held-out data must show."""
+    return UNSEEN if likelihood.unseen else 1.0
+
+
+def pruned(likelihood, found) -> tuple:
+    """Return the search's end with effects that data speak for alone, and their Worths, ranked."""
+    while True:
+        worths = [_worth_of(likelihood, found, i) for i in range(
+            likelihood.known, len(found.best.model.robot.effects))]
+        weak = [one for one in worths if not one.is_real(caution_of(likelihood))]
+        if not weak:
+            most = max((one.loss for one in worths), default=0.0)
+            return found, sorted(worths, key=lambda one: (one.loss < (1.0 - CREDIBLE) * most,
+                                                          -one.weight))
+        # what has no evidence goes first: beside it others are known badly from few data
+        worst = min(weak, key=lambda one: (one.evidence > EVIDENCE, min(one.evidence,
+                                                                        2.0 * one.gain.nats)))
+        found = dropped(likelihood, found, worst.index)
+
+
+def dropped(likelihood, found, index) -> Found:
+    """
+    Return the search's end without an effect: models with it no longer count as tried.
+
+    It goes on with the likeliest of the others: one of them may have what stood in its place.
+    """
+    tried = (with_fewer(likelihood, found, index), *_tried_without(
+        likelihood, found, found.best.model.robot.effects[index]))
+    return found._replace(best=max(tried, key=lambda state: state.evidence), tried=tried)
+
+
+def with_fewer(likelihood, found, *dropped) -> State:
+    """Return the State of a search's end without effects (indices), all else re-tuned."""
+    # derivatives anew: much may move
+    less, _ = without(likelihood, found.best.model, found.best.columns, *dropped)
+    return state_of(likelihood, *refitted(likelihood, less, found.nuisances), found.hypotheses)
+
+
+def _tried_without(likelihood, found, spec):
+    """Return the States that were tried without an effect."""
+    return (state for state in found.tried
+            if (spec.name, spec.joint) not in state.key(likelihood.known))
+
+
+def timed(likelihood, found) -> Found:
+    """
+    Return the search's end with late effects exchanged where others predict better.
+
+    Lag and delay differ above the frequencies of the rows only. Both are compared beside all else
+    as fitted with the one, and as with the other.
+    """
+    for i in range(likelihood.known, len(found.best.model.robot.effects)):
+        model = found.best.model
+        spec = model.robot.effects[i]
+        for name in find(spec.name).confusable if find(spec.name).of_feedback else ():
+            kind = find(name)
+            other = replace(spec, name=name, values=(
+                min(spec.values[0], kind.parameters[0].upper),))
+            rest = model.robot.effects[:i] + model.robot.effects[i + 1:]
+            if (kind.whole_arm != find(spec.name).whole_arm or not kind.of_feedback
+                    or not may_join(other, replace(model.robot, effects=rest),
+                                    likelihood.known)):
+                continue
+            swapped, columns = refitted(likelihood, likelihood.fitted(
+                _instead(model.robot, i, other), model.x), found.nuisances)
+            costs = prediction_cost(likelihood, [
+                (_instead(one.robot, i, late), one.x) for late in (
+                    spec, swapped.robot.effects[i]) for one in (model, swapped)], spec.joint)
+            own, instead = costs.reshape(2, 2).sum(axis=1)
+            if instead < own - 2.0 * (EVIDENCE + 2.0 * np.log(found.hypotheses)):
+                best = state_of(likelihood, swapped, columns, found.hypotheses)
+                found = found._replace(best=best, tried=(best, *_tried_without(
+                    likelihood, found, spec)))
+                break
+    return found
+
+
+def _instead(robot, i, spec):
+    """Return a robot with another in the place of its i-th effect."""
+    return replace(robot, effects=(*robot.effects[:i], spec, *robot.effects[i + 1:]))
