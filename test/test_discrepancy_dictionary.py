@@ -79,7 +79,8 @@ def test_a_rigid_axis_has_guesses_of_what_can_be_there():
     assert {'torque_gain', 'friction_asymmetry', 'end_stop', 'torque_ripple',
             'load_friction', 'actuator_deadzone', 'friction_backlash'} <= found
     assert not found & {'backlash', 'spring_cubic', 'stiffness_error', 'gravity_tilt',
-                        'tip_payload', 'supply_sag', 'motor_inertia_error'}
+                        'tip_payload', 'supply_sag', 'motor_inertia_error', 'motor_viscous',
+                        'motor_torque_bias'}
     motion = replace(motion, samples=replace(motion.samples, commanded=False))
     measured = looked_for(robot, motion)
     assert found - measured == {'actuator_deadzone', 'actuator_saturation', 'actuator_lag',

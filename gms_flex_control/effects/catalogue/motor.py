@@ -93,7 +93,9 @@ class MotorViscous(Term):
     fed_forward = True
     parameters = (Parameter('viscous', 'N m s/rad', 'viscous coefficient', lower=0.0,
                             typical=lambda s: 0.2 * s.friction / s.speed),)
-    guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed, positive=True))
+    # of a rigid joint it is viscous_error
+    guesses = staticmethod(lambda s: [] if s.rigid else linear(
+        0.1 * s.friction / s.speed, positive=True))
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
@@ -130,7 +132,8 @@ class MotorTorqueBias(Term):
     discriminated_by = 'a recording with another load, or with the link held'
     fed_forward = True
     parameters = (Parameter('bias', 'N m', 'torque', typical=lambda s: 0.3 * s.friction),)
-    guesses = staticmethod(lambda s: linear(0.1 * s.friction))
+    # of a rigid joint it is constant_link_torque
+    guesses = staticmethod(lambda s: [] if s.rigid else linear(0.1 * s.friction))
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
