@@ -81,6 +81,9 @@ def test_indistinguishable_effects_of_a_finding_survive_beside_the_credible_mode
         frozenset({kept, ('torque_gain', 'joint2')}),
         frozenset({kept, ('stiffness_error', 'joint2')}),
         frozenset({kept, ('tip_payload', 'arm')})]
+    report['credible'].append({'effects': [gain], 'probability': 0.01})
+    for minor, count in (([], 4), ([backlash | {'confusable_with': []}], 3)):
+        assert len(surviving(report | {'minor': minor})) == count
 
 
 def _recording(robot, model, gains, trajectory, duration=6.0):

@@ -140,6 +140,15 @@ def test_probabilities_of_models_sum_to_one_and_follow_the_evidence():
     assert [names for names, _ in posterior([state(0.0, A), state(1.0, A, B)], 1)] == [{B}, set()]
 
 
+def test_the_likeliest_model_has_even_odds_with_effects_that_matter_in_no_prediction():
+    states = [state(1.0), state(4.0, A), state(40.0, A, B), state(30.0, B)]
+    odds = dict(posterior(states, 0, {B}))
+    assert list(odds)[:2] == [{A, B}, {A}]
+    assert odds[frozenset({A})] == odds[frozenset({A, B})] == pytest.approx(0.5, abs=0.01)
+    assert odds[frozenset({B})] / odds[frozenset({A, B})] == pytest.approx(np.exp(-5.0))
+    assert dict(posterior(states[:1], 0, {B})) == {frozenset(): 1.0}
+
+
 @pytest.mark.parametrize(('shares', 'mass', 'count'), [
     ((0.96, 0.04), 0.95, 1), ((0.5, 0.3, 0.2), 0.75, 2), ((0.5, 0.3, 0.2), 0.95, 3),
     ((0.94, 0.02, 0.02, 0.02), 0.95, 2), ((1.0,), 0.95, 1)])

@@ -83,12 +83,15 @@ def surviving(report: Mapping) -> list[frozenset]:
     -------
     list of frozenset of (effect, joint)
         The credible set of models, and the likeliest with each effect in turn replaced by those
-        that are indistinguishable from it.
+        that are indistinguishable from it; not the likeliest without what matters in no
+        prediction.
 
     """
     sets = [frozenset((one['effect'], one['joint']) for one in model['effects'])
             for model in report['credible']]
     likeliest = sets[0] if sets else frozenset()
+    needless = likeliest - {(one['effect'], one['joint']) for one in report['minor']}
+    sets = [one for one in sets if one == likeliest or one != needless]
     for finding in (*report['findings'], *report['minor']):
         key = finding['effect'], finding['joint']
         for other in finding['confusable_with']:

@@ -132,18 +132,22 @@ def stiffness_along(motion, constants) -> np.ndarray:
     return np.sum(torque * torsion, axis=0) / np.maximum(np.sum(torsion ** 2, axis=0), 1e-300)
 
 
-def posterior(states, known) -> list[tuple[frozenset, float]]:
+def posterior(states, known, trifles=frozenset()) -> list[tuple[frozenset, float]]:
     """
     Return the probabilities of States that were tried, those of equal effects once.
 
     List of (frozenset of effects beside the first ``known``, probability), the likeliest first;
-    all alike where the evidence of none is finite.
+    all alike where the evidence of none is finite. The likeliest is no likelier than without its
+    ``trifles``, effects of joints that matter in no prediction: filters and integrators err as
+    much, and errors of a model add to evidence as long as a recording lasts.
     """
     best = {}
     for state in states:
         key = state.key(known)
         best[key] = max(best.get(key, -np.inf), state.evidence)
-    keys = sorted(best, key=lambda key: -best[key])
+    likeliest = max(best, key=best.get)
+    best[likeliest - trifles] = best[likeliest]
+    keys = sorted(best, key=lambda key: (-best[key], key != likeliest))
     log = 0.5 * np.array([best[key] for key in keys])
     mass = np.exp(log - log.max()) if np.isfinite(log.max()) else np.ones(len(log))
     return list(zip(keys, (mass / mass.sum()).tolist(), strict=True))

@@ -156,12 +156,14 @@ def _result(likelihood, found, searched, after, findings, left, gap):
     changes = list(zip(likelihood.nuisances, after.model.x.tolist(), strict=True))
     added, named = after.key(known), {one.key for one in findings}
     main = sorted((one for one in findings if one.main), key=lambda one: one.key not in added)
+    minor = tuple(one for one in findings if not one.main)
     return Discrepancy(
         verdict=(FOUND if any(one.key in added for one in main)
                  else UNEXPLAINED if left or main else COMPLETE),
-        findings=tuple(main), minor=tuple(one for one in findings if not one.main),
+        findings=tuple(main), minor=minor,
         searched=Searched(tuple(Credible(tuple(sorted(names)), mass) for names, mass in credible(
-            posterior(doubted(found.tried, searched.tried, known), known))), _tried(found)),
+            posterior(doubted(found.tried, searched.tried, known), known,
+                      {one.key for one in minor}))), _tried(found)),
         stand_ins=tuple(spec for spec in after.model.robot.effects[known:]
                         if (spec.name, spec.joint) not in named),
         unexplained=left, gap=gap,
