@@ -385,8 +385,8 @@ class Likelihood:
         squares = [[one ** 2 for one in self.whitened.behind_low_pass([
             residual + self.torque_noise(m, np.random.default_rng([self.seed, 9, k, m]))
             for m, residual in enumerate(run)])] for k, run in enumerate(self._null.clean[:2])]
-        return np.sqrt(self.whitened.in_motion([np.mean(one, axis=0)
-                                        for one in zip(*squares, strict=True)]))
+        return np.sqrt(self.whitened.in_motion([
+            np.mean(one, axis=0) for one in zip(*squares, strict=True)]))
 
     def torque_rms(self, one, other) -> float:
         """Return the rms by which residual torques of two models differ, larger equation."""
