@@ -73,16 +73,17 @@ def test_indistinguishable_effects_of_a_finding_survive_beside_the_credible_mode
     backlash = {'effect': 'backlash', 'joint': 'joint1'}
     gain = {'effect': 'torque_gain', 'joint': 'joint2'}
     report = {'credible': [{'effects': [backlash, gain], 'probability': 0.97}], 'minor': [],
-              'findings': [gain | {'confusable_with': [
-                  'stiffness_error of joint2', 'tip_payload of arm']},
-                  backlash | {'confusable_with': []}]}
+              'findings': [gain | {'indistinguishable_from': [
+                  {'effect': 'stiffness_error', 'joint': 'joint2'},
+                  {'effect': 'tip_payload', 'joint': 'arm'}]},
+                  backlash | {'indistinguishable_from': []}]}
     kept = ('backlash', 'joint1')
     assert surviving(report) == [
         frozenset({kept, ('torque_gain', 'joint2')}),
         frozenset({kept, ('stiffness_error', 'joint2')}),
         frozenset({kept, ('tip_payload', 'arm')})]
     report['credible'].append({'effects': [gain], 'probability': 0.01})
-    for minor, count in (([], 4), ([backlash | {'confusable_with': []}], 3)):
+    for minor, count in (([], 4), ([backlash | {'indistinguishable_from': []}], 3)):
         assert len(surviving(report | {'minor': minor})) == count
 
 

@@ -64,7 +64,7 @@ def test_what_matters_and_is_not_in_the_model_is_said(written, expected):
 def test_what_matters_is_said_to_be_lacking_however_much_there_is():
     """Only what is small is said to be small."""
     found = [SimpleNamespace(effect='backlash', joint=joint, key=('backlash', joint), values=(),
-                             confusable_with=()) for joint in 'abcdefgh']
+                             indistinguishable_from=()) for joint in 'abcdefgh']
     robot = SimpleNamespace(effects=[EffectSpec(name='backlash', joint=one.joint, values=(0.01,))
                                      for one in found])
     said = [text for text, _ in _verdict(Discrepancy(

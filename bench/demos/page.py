@@ -107,7 +107,7 @@ def revealed(outcome) -> str:
         sentence += 'named rightly'
     elif outcome.first is not None:
         sentence += f'named wrongly, {outcome.first.effect} of {outcome.first.joint}'
-        if f'{truth["effect"]} of {truth["joint"]}' in outcome.first.confusable_with:
+        if (truth['effect'], truth['joint']) in outcome.first.indistinguishable_from:
             sentence += ' (said to be indistinguishable from it)'
     else:
         sentence += 'not named'

@@ -181,7 +181,7 @@ def judged(kind: str, truth: list, verdict: str, findings) -> tuple[bool, bool]:
         return (not names and verdict == {'clean': COMPLETE, 'outside': UNEXPLAINED}[kind],
                 bool(names))
     right = names[:1] == truth if kind == 'single' else set(truth) <= set(names)
-    alike = names and any(' of '.join(key) in findings[0].confusable_with for key in truth)
+    alike = names and any(key in findings[0].indistinguishable_from for key in truth)
     return right, bool(names) and names[0] not in truth and not alike
 
 

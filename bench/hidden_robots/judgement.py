@@ -92,7 +92,7 @@ def judged(outcome, tool=WORKFLOW):
             return BELIEF
         if tool == WORKFLOW:
             first = ranked(outcome['findings'])[0]
-            if ' of '.join(hidden) in first['confusable_with']:
+            if list(hidden) in first['indistinguishable_from']:
                 return CONFUSABLE
         return WRONG
     if tool == WORKFLOW and outcome['verdict'] == 'unexplained':

@@ -79,7 +79,7 @@ def ask_workflow(case, without):
                 'held_out': one.held_out._asdict(), 'torque': float(one.torque),
                 'parameters': {name: float(value) for name, value in one.parameters.items()},
                 'runner_up': str(one.runner_up),
-                'confusable_with': list(map(str, one.confusable_with))}
+                'indistinguishable_from': list(map(list, one.indistinguishable_from))}
                 for one in result.named],
             'models': [{'effects': [list(one) for one in model.effects],
                         'probability': float(model.probability)}

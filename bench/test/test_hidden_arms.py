@@ -17,15 +17,15 @@ import pytest
 GAIN, SLOPE = ('torque_gain', 'joint2'), ('viscous_error', 'joint3')
 
 
-def answer(*keys, confusable=()):
+def answer(*keys, alike=()):
     """Return findings of an answer."""
-    return [SimpleNamespace(key=key, confusable_with=confusable) for key in keys]
+    return [SimpleNamespace(key=key, indistinguishable_from=alike) for key in keys]
 
 
 @pytest.mark.parametrize('kind, truth, verdict, findings, right, wrong', [
     ('single', [GAIN], 'found', answer(GAIN, SLOPE), True, False),
     ('single', [GAIN], 'found', answer(SLOPE, GAIN), False, True),
-    ('single', [GAIN], 'found', answer(SLOPE, confusable=(' of '.join(GAIN),)), False, False),
+    ('single', [GAIN], 'found', answer(SLOPE, alike=(GAIN,)), False, False),
     ('single', [GAIN], 'unexplained', answer(), False, False),
     ('double', [GAIN, SLOPE], 'found', answer(SLOPE, GAIN), True, False),
     ('double', [GAIN, SLOPE], 'found', answer(SLOPE), False, False),

@@ -25,9 +25,9 @@ def effect(name, joint='joint1', **parameters):
     return {'effect': name, 'joint': joint, 'parameters': parameters or {'ratio': 0.1}}
 
 
-def finding(name, joint='joint1', main=True, confusable=(), **parameters):
+def finding(name, joint='joint1', main=True, alike=(), **parameters):
     return effect(name, joint, **parameters) | {
-        'main': main, 'runner_up': '', 'confusable_with': list(confusable)}
+        'main': main, 'runner_up': '', 'indistinguishable_from': list(alike)}
 
 
 def outcome(kind='single', hidden=(), findings=(), verdict='effects_found', seed=0, clutter=(),
@@ -48,7 +48,7 @@ def outcome(kind='single', hidden=(), findings=(), verdict='effects_found', seed
     ([finding('backlash', 'joint2')], 'effects_found', 'wrong'),
     ([finding('spring_cubic'), finding('backlash')], 'effects_found', 'wrong'),
     ([finding('spring_cubic', main=False), finding('backlash')], 'effects_found', 'right'),
-    ([finding('spring_cubic', confusable=['backlash of joint1'])], 'effects_found', 'confusable'),
+    ([finding('spring_cubic', alike=[['backlash', 'joint1']])], 'effects_found', 'confusable'),
     ([], 'unexplained', 'unexplained'), ([], 'complete', 'nothing'), ([], 'bad_data', 'fault')])
 def test_the_first_name_is_judged_by_effect_and_joint(findings, verdict, expected):
     """A large finding counts before a small one, wherever it stands in the list."""
@@ -233,7 +233,8 @@ def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
     finding = SimpleNamespace(effect='backlash', joint='joint2', main=True, runner_up='x',
                               score=np.float64(70.0), torque=0.01,
                               parameters={'half_gap': np.float64(0.1)},
-                              confusable_with=('end_stop',), probability=np.float64(0.99),
+                              indistinguishable_from=(('end_stop', 'joint2'),),
+                              probability=np.float64(0.99),
                               held_out=Gain(np.float64(30.0), 5.0, 10))
     workflow.result = SimpleNamespace(
         verdict='effects_found', gap=SimpleNamespace(

@@ -94,9 +94,9 @@ def surviving(report: Mapping) -> list[frozenset]:
     sets = [one for one in sets if one == likeliest or one != needless]
     for finding in (*report['findings'], *report['minor']):
         key = finding['effect'], finding['joint']
-        for other in finding['confusable_with']:
+        for other in finding['indistinguishable_from']:
             if key in likeliest:
-                sets.append(likeliest - {key} | {tuple(other.split(' of '))})
+                sets.append(likeliest - {key} | {(other['effect'], other['joint'])})
     return [one for one in dict.fromkeys(sets) if one][:MOST]
 
 

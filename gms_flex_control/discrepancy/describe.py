@@ -74,6 +74,11 @@ def evidence_of(one, others) -> str:
     return sentence + '.'
 
 
+def of_joints(effects, between=', ') -> str:
+    """Return (effect, joint) pairs in words, sorted."""
+    return between.join(f'{effect} of {joint}' for effect, joint in sorted(effects))
+
+
 def value_words(finding) -> str:
     """Return the values of a finding, such as 'half_gap 0.0021 rad'."""
     return ', '.join(f'{v.name} {v.value:.4g}{"" if v.unit == "1" else " " + v.unit}'
@@ -155,9 +160,9 @@ def _verdict(result):
     if result.not_added:
         yield of_not_added(result), bool(shown)
     for one in (*shown, *result.not_added[:_IN_FULL]):
-        if one.confusable_with:
+        if one.indistinguishable_from:
             yield (f'{one.effect} of {one.joint} is indistinguishable here from '
-                   f'{" or ".join(one.confusable_with)}; discriminating experiment: '
+                   f'{of_joints(one.indistinguishable_from, " or ")}; discriminating experiment: '
                    f'{one.discriminated_by}.'), True
     added = {(spec.name, spec.joint) for spec in result.robot.effects}
     for what, few in (('The model also lacks', result.added[_IN_FULL:]),

@@ -186,7 +186,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
         before, after, main = _lessened(likelihood, found, one, held_out)
         spec = found.best.model.robot.effects[one.index]
         others, kind = _rivals(found, one, spec), find(spec.name)
-        alike = {f'{name} of {joint}' for name, joint, share in others if share > _ALIKE or (
+        alike = {(name, joint) for name, joint, share in others if share > _ALIKE or (
             name in kind.confusable and share > kind.declared_from)}
         out.append(Finding(
             effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),
@@ -196,7 +196,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
                                   if (spec.name, spec.joint) in names)),
             runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
             runner_up_score=others[0][2] * one.evidence if others else 0.0,
-            confusable_with=tuple(sorted(alike)),
+            indistinguishable_from=tuple(sorted(alike)),
             discriminated_by=kind.discriminated_by if others else '',
             evidence=evidence_of(one, others), residual=Residual(before, after)))
     return [one for one in out if one.main or not find(one.effect).of_recording]

@@ -44,7 +44,7 @@ class Finding:
     held_out: object        # Gain of the log likelihood of blocks that were left out
     runner_up: str | None   # the next best explanation in its place, 'effect of joint'
     runner_up_score: float  # ``score`` times the share of it that this one would explain
-    confusable_with: tuple  # of str, 'effect of joint', indistinguishable here
+    indistinguishable_from: tuple  # of (effect, joint), which explain nearly as much here
     discriminated_by: str   # experiment that separates it from those and the runner-up, or ''
     evidence: str           # one sentence
     residual: Residual      # without it and with it

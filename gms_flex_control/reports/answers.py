@@ -9,6 +9,7 @@ from textwrap import fill
 from gms_flex_control.answer import align, Answer, command, measured, Number
 from gms_flex_control.discrepancy.describe import (
     angle_scale,
+    of_joints,
     of_not_added,
     Scale,
     torque_scale,
@@ -216,8 +217,8 @@ def _lacking(result):
                 'not exceed the noise floor, which encoders and torque noise alone produce.')
     effects = ' and '.join(
         f'{one.effect} of {one.joint} ({value_words(one)}'
-        + (f'; indistinguishable here from {", ".join(one.confusable_with)})'
-           if one.confusable_with else ')') for one in result.added)
+        + (f'; indistinguishable here from {of_joints(one.indistinguishable_from)})'
+           if one.indistinguishable_from else ')') for one in result.added)
     gap = result.gap
     changes = [_change(*figures) for figures in (
         ('the residual torque', gap.retuned, gap.after, gap.floor),

@@ -138,26 +138,23 @@ def _add_findings(report, result, evidence, picture, first):
     sets = [set(model.effects) for model in result.searched.models]
     common = set.intersection(*sets) if sets else set()
     report.table(('effects', 'probability'), [
-        (_names(own - common) or ('no other' if common else 'none'), f'{model.probability:.3f}')
+        (describe.of_joints(own - common) or ('no other' if common else 'none'),
+         f'{model.probability:.3f}')
         for own, model in zip(sets, result.searched.models, strict=True)],
         'The credible set: the fewest models that hold 95 % of the probability'
-        + (f'. All of them have {_names(common)}; beside these:' if common else ''))
+        + (f'. All of them have {describe.of_joints(common)}; beside these:' if common else ''))
     for i, (finding, shown) in enumerate(zip(findings, evidence, strict=False)):
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
         report.text(f'{in_words(finding.effect)}.')
         report.text(describe.capitalised(finding.evidence))
-        if finding.confusable_with:
+        if finding.indistinguishable_from:
             report.note(f'Indistinguishable in these data from '
-                        f'{", ".join(finding.confusable_with)}. Discriminating experiment: '
-                        f'{finding.discriminated_by}.', warning=True)
+                        f'{describe.of_joints(finding.indistinguishable_from)}. '
+                        f'Discriminating experiment: {finding.discriminated_by}.', warning=True)
         stem = file_stem(f'{finding.effect}_{finding.joint}')
         picture(evidence_figure(shown), f'evidence_{i + 1}_{stem}.png')
         if shown is not first:
             _add_evidence_chart(report, shown)
-
-
-def _names(effects):
-    return ', '.join(f'{effect} of {joint}' for effect, joint in sorted(effects))
 
 
 def _finding_row(finding, scale):
@@ -167,7 +164,7 @@ def _finding_row(finding, scale):
             scale.text(finding.torque), f'{100.0 * finding.share:.1f} %',
             f'{finding.probability:.3f}', f'{finding.held_out.nats:.3g} nats ('
             f'{finding.held_out.sigmas:.2g} sigma, {finding.held_out.blocks} blocks)',
-            ', '.join(finding.confusable_with))
+            describe.of_joints(finding.indistinguishable_from))
 
 
 def _add_evidence_chart(report, evidence):

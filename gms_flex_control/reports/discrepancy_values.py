@@ -67,7 +67,9 @@ def _finding_values(finding, joints):
         'share': finding.share, 'torque': finding.torque,
         'evidence': finding.evidence, 'runner_up': finding.runner_up,
         'runner_up_score': finding.runner_up_score,
-        'confusable_with': finding.confusable_with, 'discriminated_by': finding.discriminated_by,
+        'indistinguishable_from': [{'effect': effect, 'joint': joint}
+                                   for effect, joint in finding.indistinguishable_from],
+        'discriminated_by': finding.discriminated_by,
         'rms_before': _by_joint(joints, finding.residual.before),
         'rms_after': _by_joint(joints, finding.residual.after)}
 
