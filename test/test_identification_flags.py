@@ -11,6 +11,7 @@ from gms_flex_control.identification.uncertainty import (
     inverse_of,
     memory_of,
     Spread,
+    unshrunk,
 )
 import numpy as np
 import pytest
@@ -115,6 +116,22 @@ def test_a_covariance_of_few_blocks_is_wider_than_chance_and_never_narrower_than
     wide = clustered(np.eye(1), scores, 1.0)
     assert wide[0, 0] == pytest.approx(10 / 9 * (2.262 / 1.960) ** 2 * 10.0, rel=1e-3)
     assert clustered(np.eye(1), 0.0 * scores, 3.0)[0, 0] == pytest.approx(3.0)
+
+
+def test_blocks_that_draw_the_fit_to_themselves_are_as_uncertain_as_the_others():
+    """Twenty numbers of four blocks of 20: a fit's own errors are small, its values as far off."""
+    rng, blocks, noises = np.random.default_rng(0), 4, 400
+    columns = np.linalg.qr(rng.standard_normal((80, 20)))[0]
+    share = np.einsum('bsp,bsq->bpq', *2 * [columns.reshape(blocks, 20, 20)])
+    variance = np.zeros((2, 20))
+    for noise in rng.standard_normal((noises, 80)):
+        left = (noise - columns @ (columns.T @ noise))[:, None]
+        scores = (columns * left).reshape(blocks, 20, 20).sum(axis=1)
+        variance += [np.sum(one ** 2, axis=0) / noises for one in (
+            scores, unshrunk(scores, share))]
+    assert variance[0].mean() < 0.8
+    np.testing.assert_allclose(variance[1], 1.0, rtol=0.2)
+    assert variance[1].mean() == pytest.approx(1.0, abs=0.03)
 
 
 def test_numbers_that_the_data_hardly_tell_apart_are_vague_whatever_rounding_does():

@@ -29,7 +29,7 @@ from gms_flex_control.identification.arm_differences import (
 )
 from gms_flex_control.identification.arm_rows import rows_of
 from gms_flex_control.identification.axis_fit import robust
-from gms_flex_control.identification.base_parameters import regress, weighting_of
+from gms_flex_control.identification.base_parameters import block_scores, regress, weighting_of
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     Base,
@@ -156,6 +156,7 @@ class _Fit:
         self._guess = self._guessed_scales(recordings, np.isinf(doubt))
         self._at.scale[:] = self._guess
         self._last = None  # the _Regression of the last step
+        self._spread = None  # covariance and inverse of the normal matrix, once they are known
 
     def _guessed_scales(self, recordings, unknown):
         """Return the scales (n,) to begin from: of unknown ones, as the URDF's masses have it."""
@@ -302,15 +303,14 @@ class _Fit:
         determined: noise of encoders counts less than white one, what the model lacks counts
         more. No parameter is said to be better known than that, since few blocks agree by chance.
         """
-        count = int(self._rows.block.max()) + 1
-        scores = np.zeros((count, len(self._last.step)))
-        for scaled, target, block in self._last.pieces:
-            sums = block_sums(scaled * (target - scaled @ self._last.step)[:, None], block)
-            scores[:len(sums)] += sums
+        if self._spread is not None:
+            return self._spread
         inverse = inverse_of(self._last.normal)
+        scores = block_scores(self._last.pieces, self._last.step, self._last.normal)
         links = self._layout.links if len(self._base.lead) else slice(None)
         memory = memory_of(inverse, self._precision(), scores, links)
-        return clustered(inverse, scores, memory), inverse
+        self._spread = clustered(inverse, scores, memory), inverse
+        return self._spread
 
     def _found_coupled(self):
         """Return the Coupled, None where there is none."""

@@ -5,6 +5,7 @@
 
 from typing import NamedTuple
 
+from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import low_pass
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import IdentificationError
@@ -23,7 +24,12 @@ from scipy.ndimage import uniform_filter1d
 
 _THINNING = 8       # samples of a smoothing window that are enough
 _STEP = 1e-5        # of a zero, for slopes [rad]
-_TURNED = (0.003, 0.01, 0.03)  # s at the usual rate: how far from a reversal friction turns over
+_SLIPS = (0.001, 0.002, 0.004, 0.008)  # s at the usual rate: ways after which blocks slip
+_LOW = (0.1, 0.2, 0.4)  # of the usual rate: how fast a joint leaves its friction at low speed
+_BETWEEN = 4        # steps from one sample to the next of a friction that jumps
+_LAG = 0.05         # by which that is late, F_c / C of common machines [s]
+_SMOOTHED = 0.05    # of the low-pass, at least [s]: noise of encoders grows with the square of the
+#                     frequency, and motion determines inertia well below the 9 Hz that pass
 
 
 class Rows(NamedTuple):
@@ -36,7 +42,7 @@ class Rows(NamedTuple):
     torque: np.ndarray     # (S, n) as recorded
     change: np.ndarray     # (S, n) of the torque over time [N m/s]
     friction: np.ndarray   # (S, n, 8)
-    turning: np.ndarray    # (S, n, 3) of friction that lags behind a reversal
+    turning: np.ndarray    # (S, n, K) of friction that lags behind a reversal
     coupled: np.ndarray    # (S, n, 2 M) of friction of M motors that several joints turn
     rate: np.ndarray       # (S, n)
     block: np.ndarray      # (S,) int, of time
@@ -74,13 +80,15 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
 
     None of a segment so short that the low-pass sees its ends everywhere.
     """
-    every = 2 * (segment.window // (2 * _THINNING)) + 1
-    window = max(segment.window // every, 1)
+    smoothed = max(segment.window, round(_SMOOTHED / recording.period))
+    every = 2 * (smoothed // (2 * _THINNING)) + 1
+    window = max(smoothed // every, 1)
     motion, torque = _differences(segment, every, recording.period)
     angle = motion[0]
     if len(angle) <= 4 * window:
         return None
     rate = np.ascontiguousarray(segment.rate[every:-every:every][:len(angle)])
+    friction, turning, coupled = _friction(segment, every, recording, usual, motors)
     torque = low_pass(torque, window)
     loaded = carrying(arm, recording.operation.load)
     if len(lead):
@@ -105,14 +113,6 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
             slope[:, :, i] = (
                 chain.inverse_dynamics(angle - step, *motion[1:], slopes_of)
                 - chain.inverse_dynamics(angle + step, *motion[1:], slopes_of)) / (2.0 * _STEP)
-    friction = np.stack([friction_regressors(*one) for one in zip(rate.T, usual, strict=True)],
-                        axis=1)
-    turning = np.stack([_turning(*one) for one in zip(angle.T, rate.T, usual, strict=True)],
-                       axis=1)
-    coupled = np.zeros((*rate.shape, 0))
-    for m in motors:
-        own = plain_friction(rate @ recording.coupling[m])
-        coupled = np.concatenate([coupled, own[:, None] * recording.coupling[m][:, None]], axis=2)
     regressor, tip, known, slope, friction, turning, coupled = (low_pass(one, window) for one in (
         regressor, tip, known, slope, friction, turning, coupled))
     block = (every * np.arange(len(rate)) * recording.period / BLOCK_TIME).astype(int)
@@ -122,18 +122,69 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
                                           turning, coupled, rate, block))
 
 
-def _turning(angle, rate, usual):
+def _friction(segment, every, recording, usual, motors):
     """
-    Return columns (S, 3) of friction that turns over along the way from a reversal.
+    Return columns of friction (S, n, 8), of what lags behind it, and of coupled motors.
 
-    Presliding, and friction that lags behind its curve: where a joint reverses it accelerates
-    most, so what is left out here is taken for inertia.
+    Friction jumps where a joint reverses: its columns are those between samples, weighted as
+    the torque is.
     """
-    way = np.sign(rate)
-    turns = np.concatenate([[True], way[1:] * way[:-1] < 0.0])
-    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(angle)))])
-    since = travelled - np.maximum.accumulate(np.where(turns, travelled, 0.0))
-    return way[:, None] * np.exp(-since[:, None] / (usual * np.array(_TURNED)))
+    period = recording.period / _BETWEEN
+    rate, angle = (_interpolated(one) for one in (segment.rate, filled(segment.angle)))
+
+    def weighted(columns):
+        columns = uniform_filter1d(columns, 2 * _BETWEEN + 1, axis=0, mode='nearest')
+        return _weighted(columns[::_BETWEEN], every)
+    friction = np.stack([weighted(friction_regressors(*one)) for one in zip(
+        rate.T, usual, strict=True)], axis=1)
+    turning = np.stack([weighted(_turning(*one, period)) for one in zip(
+        angle.T, rate.T, usual, strict=True)], axis=1)
+    coupled = np.zeros((*friction.shape[:2], 2 * len(motors)))
+    for k, m in enumerate(motors):
+        own = weighted(plain_friction(rate @ recording.coupling[m]))
+        coupled[:, :, 2 * k:2 * k + 2] = own[:, None] * recording.coupling[m][:, None]
+    return friction, turning, coupled
+
+
+def _interpolated(values):
+    """Return values (S, n) with further ones between the samples."""
+    rows = np.arange(len(values))
+    fine = np.arange(_BETWEEN * (len(values) - 1) + 1) / _BETWEEN
+    return np.stack([np.interp(fine, rows, column) for column in values.T], axis=1)
+
+
+def _turning(angle, rate, usual, period):
+    """
+    Return columns (S, K) of friction that depends on the way and the time before.
+
+    Where a joint reverses it accelerates most: what is left out here is taken for inertia.
+    Presliding is that of blocks which slip after given ways, as strong as one likes (Maxwell
+    slip), so that a joint may turn again before all of them slip; friction at low speed is late.
+    """
+    slips, late = np.empty((len(rate), len(_SLIPS))), np.empty((len(rate), len(_LOW)))
+    _slip(angle, usual * np.array(_SLIPS), slips)
+    low = np.sign(rate)[:, None] * np.exp(-(rate[:, None] / (usual * np.array(_LOW))) ** 2)
+    _delay(low, np.exp(-period / _LAG), late)
+    return np.concatenate([slips, late], axis=1)
+
+
+@compiled
+def _slip(angle, ways, out) -> None:
+    """Write the deflection of blocks over ``ways`` (K,) that they slip at into ``out`` (S, K)."""
+    for k in range(ways.shape[0]):
+        out[0, k] = 0.0
+        for i in range(1, angle.shape[0]):
+            at = out[i - 1, k] + (angle[i] - angle[i - 1]) / ways[k]
+            out[i, k] = min(max(at, -1.0), 1.0)
+
+
+@compiled
+def _delay(values, kept, out) -> None:
+    """Write ``values`` (S, K) behind a first-order lag into ``out``, ``kept`` of each sample."""
+    for k in range(values.shape[1]):
+        out[0, k] = values[0, k]
+        for i in range(1, values.shape[0]):
+            out[i, k] = kept * out[i - 1, k] + (1.0 - kept) * values[i, k]
 
 
 def _differences(segment, every, period):
@@ -144,11 +195,15 @@ def _differences(segment, every, period):
     both sides, weighted by a triangle; the torque is weighted likewise, so that no filter comes
     between them.
     """
-    torque = torque_at_samples(segment)
-    for _ in range(2):  # a triangle
-        torque = uniform_filter1d(torque, every, axis=0, mode='nearest')
-    angle, torque = (uniform_filter1d(one, every, axis=0, mode='nearest')[::every]
-                     for one in (filled(segment.angle), torque))
+    angle = uniform_filter1d(filled(segment.angle), every, axis=0, mode='nearest')[::every]
     before, at, after, step = angle[:-2], angle[1:-1], angle[2:], every * period
     motion = at, (after - before) / (2.0 * step), (after - 2.0 * at + before) / step ** 2
-    return tuple(map(np.ascontiguousarray, motion)), torque[1:-1]
+    return (tuple(map(np.ascontiguousarray, motion)),
+            _weighted(torque_at_samples(segment), every))
+
+
+def _weighted(values, every):
+    """Return values (T, ...) of every so many samples, weighted as `_differences` says."""
+    for _ in range(3):  # a triangle, and the mean of which angles are differences
+        values = uniform_filter1d(values, every, axis=0, mode='nearest')
+    return values[::every][1:-1]

@@ -16,7 +16,7 @@ from dataclasses import replace
 from gms_flex_control.dynamics.chain import constants_of
 from gms_flex_control.identification.axis_fit import filtered, friction_regressors, robust
 from gms_flex_control.identification.outcome import CONFIDENT, estimated
-from gms_flex_control.identification.uncertainty import block_sums
+from gms_flex_control.identification.uncertainty import block_sums, root_of_inverse, unshrunk
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -96,8 +96,8 @@ def regress(regressors, torque, rate, block, friction: Callable, precision=0.0, 
     Each joint counts by its own noise, robustly, where it moves at ``rate`` (S, n); its friction,
     columns ``friction(joint, rows)``, is eliminated. ``precision`` (B,) is that of priors at
     ``pull`` (B,); ``weighting`` is that of `weighting_of` unless given. The values (B,), their
-    normal matrix (B, B) and, for each joint, regressors, torque and numbers of blocks of time,
-    scaled.
+    normal matrix (B, B) and, for each joint, regressors, torque, numbers of blocks of time and an
+    orthonormal basis of what was eliminated, scaled.
     """
     count = regressors.shape[2]
     normal = np.diag(np.broadcast_to(precision, count).astype(float))
@@ -112,10 +112,27 @@ def regress(regressors, torque, rate, block, friction: Callable, precision=0.0, 
         target = target - basis @ (basis.T @ target)
         normal += scaled.T @ scaled
         right += scaled.T @ target
-        pieces.append((scaled, target, block[rows]))
+        pieces.append((scaled, target, block[rows], basis))
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values = np.linalg.lstsq(normal / np.outer(size, size), right / size, rcond=1e-10)[0] / size
     return values, normal, pieces
+
+
+def block_scores(pieces: Sequence, values: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Return the `unshrunk` scores (blocks, B) at ``values`` of what `regress` returns."""
+    half, count = root_of_inverse(normal), 1 + max(block.max() for _, _, block, _ in pieces)
+    at = own = len(half)
+    total = at + sum(basis.shape[1] for *_, basis in pieces)
+    scores, share = np.zeros((count, total)), np.zeros((count, total, total))
+    for scaled, target, block, basis in pieces:
+        columns, left = np.concatenate([scaled @ half, basis], axis=1), target - scaled @ values
+        places = np.r_[:own, at:at + basis.shape[1]]
+        at += basis.shape[1]
+        for k in np.unique(block):
+            rows = columns[block == k]
+            scores[k, places] += rows.T @ left[block == k]
+            share[k][np.ix_(places, places)] += rows.T @ rows
+    return np.linalg.solve(half.T, unshrunk(scores, share)[:, :own].T).T
 
 
 def weighting_of(regressors, torque, rate, friction: Callable, group=None) -> list:
@@ -148,7 +165,7 @@ def _sandwich(normal, pieces, values):
     """Return the covariance (B, B) if only blocks of time are independent."""
     inverse = np.linalg.pinv(normal, rcond=1e-10, hermitian=True)
     middle = np.zeros(normal.shape)
-    for scaled, target, block in pieces:
+    for scaled, target, block, _ in pieces:
         sums = block_sums(scaled * (target - scaled @ values)[:, None], block)
         middle += sums.T @ sums
     return inverse @ middle @ inverse + 1e-8 * np.diag(values ** 2)

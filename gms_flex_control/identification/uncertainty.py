@@ -45,6 +45,7 @@ _STILL_FALLS = 0.05     # of F_s - F_c, left at the highest velocity: F_c is bey
 _LONGEST_MEMORY = 2.0   # of an innovation that is looked for [s]
 _SMALL_STEP = 1e-4      # of a free number, for a derivative
 _LEAST_DETERMINED = 1e-3  # numbers
+_LEAST_ELSEWHERE = 1e-3   # of what the data say of a number: less in all other blocks is rounding
 _NAMES = ('static', 'coulomb', 'velocity', 'viscous')
 _UNITS = ('N m', 'N m', 'rad/s', 'N m s/rad')
 _NEEDS = {
@@ -120,6 +121,22 @@ def clustered(inverse: np.ndarray, scores: np.ndarray, dispersion: float) -> np.
     return covariance
 
 
+def unshrunk(scores: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """
+    Return the scores (B, P) of blocks as if none had drawn the fit to itself.
+
+    A fit follows the noise of the very data it is judged by: the more, the larger a part of a
+    number one block determines. ``share`` (B, P, P) is what each block adds to the curvature, of
+    numbers scaled so that the sum is one. With independent errors alike, the mean square is then
+    right (bias-reduced linearization, Bell and McCaffrey 2002).
+    """
+    out = np.empty(scores.shape)
+    for k, own in enumerate(share):
+        size, axes = np.linalg.eigh(own)
+        out[k] = axes @ (axes.T @ scores[k] / np.sqrt(np.maximum(1.0 - size, _LEAST_ELSEWHERE)))
+    return out
+
+
 def memory_of(inverse: np.ndarray, precision: np.ndarray, scores: np.ndarray,
               kept=slice(None)) -> float:
     """
@@ -139,10 +156,16 @@ def inverse_of(curvature: np.ndarray) -> np.ndarray:
 
     What rounding hides is as uncertain as rounding allows.
     """
+    half = root_of_inverse(curvature)
+    return half @ half.T
+
+
+def root_of_inverse(curvature: np.ndarray) -> np.ndarray:
+    """Return the (P, P) whose product with its transpose is `inverse_of`."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     values, vectors = np.linalg.eigh(curvature * np.outer(scale, scale))
     half = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    return half @ half.T
+    return half
 
 
 def estimates_of(joint: str, coordinates: Coordinates, free: np.ndarray, spread: Spread,
