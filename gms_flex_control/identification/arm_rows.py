@@ -28,8 +28,8 @@ _SLIPS = (0.001, 0.002, 0.004, 0.008)  # s at the usual rate: ways after which b
 _LOW = (0.1, 0.2, 0.4)  # of the usual rate: how fast a joint leaves its friction at low speed
 _BETWEEN = 4        # steps from one sample to the next of a friction that jumps
 _LAG = 0.05         # by which that is late, F_c / C of common machines [s]
-_SMOOTHED = 0.05    # of the low-pass, at least [s]: noise of encoders grows with the square of the
-#                     frequency, and motion determines inertia well below the 9 Hz that pass
+_SMOOTHED = 0.05    # window of the low-pass, at least [s]: the noise of encoders grows with the
+#                     square of frequency, motion determines inertia well below the 9 Hz that pass
 
 
 class Rows(NamedTuple):
@@ -80,9 +80,8 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
 
     None of a segment so short that the low-pass sees its ends everywhere.
     """
-    smoothed = max(segment.window, round(_SMOOTHED / recording.period))
-    every = 2 * (smoothed // (2 * _THINNING)) + 1
-    window = max(smoothed // every, 1)
+    every = 2 * (segment.window // (2 * _THINNING)) + 1
+    window = max(max(segment.window, round(_SMOOTHED / recording.period)) // every, 1)
     motion, torque = _differences(segment, every, recording.period)
     angle = motion[0]
     if len(angle) <= 4 * window:
