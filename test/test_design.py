@@ -103,14 +103,19 @@ def forward_only(robot, gains):
     return biased, _recording(biased, robot, gains, moves, 6.5)
 
 
+@pytest.fixture(scope='module')
+def beliefs(robot, forward_only):
+    """Return the Beliefs that recording leaves: a torque on the link, or an asymmetry."""
+    return beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY])
+
+
 def test_the_planned_motion_is_expected_to_separate_what_is_left_and_keeps_limits(
-        robot, gains, forward_only):
-    biased, recording = forward_only
-    beliefs = beliefs_of([recording], robot, [BIAS, ASYMMETRY])
+        robot, gains, forward_only, beliefs):
+    biased, _ = forward_only
     wanted = np.log(99.0)
     assert len(beliefs.left(wanted).hypotheses) == 2
-    plan = plan_next(beliefs, gains, LIMITS, period=PERIOD, longest=20.0)
-    assert plan.probability > 0.8 and plan.best.duration <= 20.0
+    plan = plan_next(beliefs, gains, LIMITS, period=PERIOD, longest=12.0)
+    assert plan.probability > 0.8 and plan.best.duration <= 12.0
     assert 'friction_asymmetry of joint2' in plan.sentence()
     found = _recording(biased, robot, gains, plan.best.candidate.trajectory(JOINTS),
                        plan.best.duration)
@@ -141,9 +146,8 @@ def test_torque_may_be_at_its_limit_at_peaks_only():
         assert keeps(SimpleNamespace(true=still, command=command), LIMITS) == kept
 
 
-def test_limits_that_no_motion_keeps_are_refused(robot, gains, forward_only):
+def test_limits_that_no_motion_keeps_are_refused(gains, beliefs):
     tight = replace(LIMITS, torsion=[1e-4, 1e-4])
-    beliefs = beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY])
     with pytest.raises(ConfigError, match='every motion would cross a limit'):
         plan_next(beliefs, gains, tight, period=PERIOD)
 
@@ -186,12 +190,10 @@ def test_rounds_in_simulation_leave_the_true_name(robot, forward_only, tmp_path,
 
 
 def test_what_predicts_the_same_ends_as_inseparable_and_no_budget_as_spent(
-        robot, gains, forward_only, monkeypatch):
+        robot, gains, forward_only, beliefs, monkeypatch):
     """A plan that separates nothing is driven twice: the first recordings may foresee badly."""
     monkeypatch.setattr('gms_flex_control.design.plan.predicted', lambda beliefs, candidate,
                         duration, loop: Prediction(candidate, duration, beliefs.odds, ()))
-
-    beliefs = beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY])
     monkeypatch.setattr('gms_flex_control.design.plan.beliefs_of',
                         lambda recordings, robot, sets: beliefs)
     driven = []
@@ -209,9 +211,8 @@ def test_what_predicts_the_same_ends_as_inseparable_and_no_budget_as_spent(
 
 
 def test_odds_as_wanted_are_even_chances_and_each_explanation_is_confirmed_by_its_own(
-        robot, forward_only):
-    beliefs = replace(beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY]),
-                      odds=np.log([[1.0, 4.0], [0.2, 1.0]]))
+        beliefs):
+    beliefs = replace(beliefs, odds=np.log([[1.0, 4.0], [0.2, 1.0]]))
     wanted = np.log(99.0)
     assert beliefs.probabilities == pytest.approx([0.8, 0.2])
 
@@ -223,7 +224,7 @@ def test_odds_as_wanted_are_even_chances_and_each_explanation_is_confirmed_by_it
 
 
 def test_the_motion_is_chosen_that_confirms_the_truth_soonest_whichever_it_is(
-        robot, gains, forward_only, monkeypatch):
+        gains, beliefs, monkeypatch):
     """A sure half in 5 s is driven in vain where the other half is true; 8 s separate both."""
     def foreseen(beliefs, candidate, duration, loop):
         odds = {'fast_swings': (60.0, -50.0), 'strokes': (20.0, 20.0)}.get(
@@ -232,8 +233,7 @@ def test_the_motion_is_chosen_that_confirms_the_truth_soonest_whichever_it_is(
         return Prediction(candidate, duration, np.array(
             [[0.0, odds[0] * gained / 3.0], [odds[1] * gained / 3.0, 0.0]]), ())
     monkeypatch.setattr('gms_flex_control.design.plan.predicted', foreseen)
-    beliefs = replace(beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY]),
-                      odds=np.zeros((2, 2)))
+    beliefs = replace(beliefs, odds=np.zeros((2, 2)))
     plan = plan_next(beliefs, gains, LIMITS, period=PERIOD, longest=20.0)
     assert plan.best.candidate.name == 'strokes' and plan.probability > 0.8
     assert SHORTEST < plan.best.duration <= 20.0
@@ -253,9 +253,7 @@ def test_motions_swing_about_zero_within_the_range():
         candidates(replace(LIMITS, lower=[-1.2, 0.3]), JOINTS)
 
 
-def test_the_sentence_states_probability_and_odds_of_each_explanation(robot, gains,
-                                                                      forward_only):
-    beliefs = beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY])
+def test_the_sentence_states_probability_and_odds_of_each_explanation(beliefs):
     three = replace(beliefs, hypotheses=(*beliefs.hypotheses, replace(
         beliefs.hypotheses[0], effects=frozenset({('backlash', 'joint1')}))))
     odds = np.log([[1.0, 20.0, 30.0], [5.0, 1.0, 7.0], [9.0, 8.0, 1.0]])
@@ -267,9 +265,8 @@ def test_the_sentence_states_probability_and_odds_of_each_explanation(robot, gai
         assert f'{least} to 1 if it is {one.words}' in plan.sentence()
 
 
-def test_noise_of_encoders_that_two_models_show_differently_is_no_evidence(robot, forward_only):
+def test_noise_of_encoders_that_two_models_show_differently_is_no_evidence(beliefs):
     """The margin is two standard deviations: twice the root of 2 sum w d^2."""
-    beliefs = beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY])
     models = [one.model for one in beliefs.hypotheses]
     alike = log_odds(beliefs.likelihood, [models[0]] * 2, [3.0, 1.0])
     assert alike == pytest.approx(np.array([[0.0, 1.0], [-1.0, 0.0]]))
