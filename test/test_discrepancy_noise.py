@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import likelihood_of, retuned_of
+from gms_flex_control.discrepancy.remainder import FreeFunctions
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.thresholds import PRACTICAL
@@ -78,3 +79,11 @@ def test_two_gains_that_make_torques_small_gain_nothing():
     left[:, n:] /= 0.5  # of the motors, which the drives turn
     np.testing.assert_allclose(likelihood.rows(weak, zero),
                                likelihood.whitened.rows_of([left]) - likelihood.usual, atol=1e-9)
+
+
+def test_what_coarse_encoders_misread_is_no_function_of_rate_or_torsion():
+    """A misread rate is in friction, and so in what is left: at 4096 counts like a rate's work."""
+    case = make_case('clean', 1333, population='encoders_coarse', duration=SHORT)
+    likelihood = likelihood_of(case)
+    free = FreeFunctions(likelihood).ranked(*retuned_of(likelihood))
+    assert free[0].evidence < 0.0, free[0][:5]

@@ -135,6 +135,11 @@ class Likelihood:
         return len(self.robot.effects)
 
     @property
+    def null_pair(self) -> tuple:
+        """Return two null simulations of one motion, a list of Motion each."""
+        return self._null.pair
+
+    @property
     def coulomb(self) -> np.ndarray:
         """Return Coulomb friction (n,), the mean of both directions [N m]."""
         friction = self.robot.friction

@@ -28,6 +28,7 @@ _KNOTS = 20           # of a function, even in the samples
 _OF_TIME = 12         # likewise, of time, at most
 # not of torque: a function of it may shrink the whole equation
 _OF_FUNCTIONS = ('time', 'link angle', 'link rate', 'torsion')
+_READ = ('link rate', 'torsion')  # angles and time are large beside the noise of encoders
 _DIRECTED = ('time', 'link angle')  # multiplied by the direction of motion, too
 _LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
 _TRIED = 4            # functions of most evidence, of which one may be real
@@ -37,9 +38,9 @@ def variables(motion, j) -> dict[str, np.ndarray]:
     """Return what a residual of joint ``j`` may depend on: dict of str to (S,)."""
     states = motion.states
     rate = states[:, 1, j]
-    since = np.zeros(len(rate))
-    for k in range(1, len(rate)):
-        since[k] = 0.0 if rate[k] * rate[k - 1] < 0.0 else since[k - 1] + motion.period
+    turned = np.concatenate([[False], rate[1:] * rate[:-1] < 0.0])
+    place = np.arange(len(rate))
+    since = motion.period * (place - np.maximum.accumulate(np.where(turned, place, 0)))
     return dict(zip(VARIABLES, (
         motion.time - motion.time[0], states[:, 0, j], states[:, 3, j], rate, states[:, 4, j],
         states[:, 3, j] - states[:, 0, j], motion.drive[:, j], states[:, 2, j], since),
@@ -132,19 +133,26 @@ class Free(NamedTuple):
     equation: str      # 'link' or 'motor'
     variable: str
     triangles: tuple   # of ndarray (S, K): its values along each recording
+    noise: tuple | None = None  # likewise: how they differ in two null simulations, None if not
 
 
 class FreeFunctions:
-    """All free functions along the recordings of a Likelihood."""
+    """
+    All free functions along the recordings of a Likelihood.
+
+    What encoders misread is in rates, torsion and residuals alike: friction steps where a rate is
+    misread. Functions are cleared of what that adds, as derivatives by known parameters are.
+    """
 
     def __init__(self, likelihood):
         self._likelihood, self._all, robot = likelihood, [], likelihood.robot
         for j, joint in enumerate(robot.joints):
-            shapes = _shapes(likelihood, j)
+            shapes, noise = _shapes(likelihood, j)
             for equation in ('link', 'motor'):
                 if equation == 'motor' and (robot.arm.rigid[j] or joint in likelihood.unseen):
                     continue
-                self._all += [(joint, equation, name, hats) for name, hats in shapes.items()]
+                self._all += [(joint, equation, name, hats, noise.get(name))
+                              for name, hats in shapes.items()]
 
     def ranked(self, model, columns, joint=None) -> list:
         """
@@ -161,22 +169,25 @@ class FreeFunctions:
 
         """
         normal = NormalEquations(self._likelihood, model, columns)
+        lost = self._likelihood.noise_cleared(model, self._likelihood.weights(model.sums.groups))
         here = [one for one in self._all if joint in (None, 'arm', one[0])]
-        found = self._likelihood.pool.map(lambda one: self._gained(normal, *one), here)
+        found = self._likelihood.pool.map(lambda one: self._gained(normal, lost, *one), here)
         return sorted(found, key=lambda one: -one.evidence)
 
-    def _gained(self, normal, joint, equation, variable, triangles):
-        """Return a function as a Free."""
+    def _gained(self, normal, lost, joint, equation, variable, triangles, noise):
+        """Return a function as a Free; sums are cleared of the noise ``lost`` (R,)."""
         likelihood, level = self._likelihood, self._likelihood.level_of(joint)
         rows = self._rows(joint, equation, triangles)
-        least = normal.beside(rows, pull=1.0 / level ** 2)
+        least = normal.beside(rows, 0.0 if noise is None else self._rows(
+            joint, equation, noise) @ lost, pull=1.0 / level ** 2)
         scaled = level * rows
         _, occam = np.linalg.slogdet(np.eye(len(rows)) + (
             scaled * likelihood.weights(least.sums)) @ scaled.T)
         torque = np.concatenate(triangles) @ least.added
         return Free(finite(normal.alone.cost - least.cost - occam
                            - 2.0 * np.log(len(self._all))),
-                    float(np.sqrt(np.mean(torque ** 2))), joint, equation, variable, triangles)
+                    float(np.sqrt(np.mean(torque ** 2))), joint, equation, variable, triangles,
+                    noise)
 
     def _rows(self, joint, equation, triangles):
         """Return the whitened residuals (K, R) of triangles; all functions' fill the memory."""
@@ -199,14 +210,20 @@ class FreeFunctions:
                 continue
             rows = self._rows(free.joint, free.equation, free.triangles)
             if without is None:
-                without = self._predicted(model, columns, rows[:0])
-            gain = gain_over(self._predicted(model, columns, rows) - without)
+                without = self._predicted(model, columns, rows[:0], rows[:0])
+            noise = np.zeros_like(rows) if free.noise is None else self._rows(
+                free.joint, free.equation, free.noise)
+            gain = gain_over(self._predicted(model, columns, rows, noise) - without)
             if gain._replace(sigmas=gain.sigmas / caution).is_real:
                 return free
         return None
 
-    def _predicted(self, model, columns, rows):
-        """Return the log likelihood of blocks left out (B,), with a function of rows (K, R)."""
+    def _predicted(self, model, columns, rows, noise):
+        """
+        Return the log likelihood of blocks left out (B,), with a function of ``rows`` (K, R).
+
+        ``noise`` (K, R) is how it differs in two null simulations.
+        """
         likelihood, numbers = self._likelihood, numbers_of(self._likelihood, model.robot)
         pull = 1.0 / likelihood.coulomb.max() ** 2
         weight = likelihood.weights(NormalEquations(likelihood, model, columns).beside(
@@ -220,7 +237,8 @@ class FreeFunctions:
         for left_out in folds(likelihood):
             kept = weight * ~left_out
             slope = -every @ (kept * model.rows) - towards
-            slope[:len(columns)] += likelihood.noise_slopes(model, kept, numbers)
+            slope += np.concatenate([likelihood.noise_slopes(model, kept, numbers),
+                                     noise @ likelihood.noise_cleared(model, kept)])
             used = every[free]
             step[free] = np.linalg.lstsq((used * kept) @ used.T + np.diag(pull[free]),
                                          slope[free], rcond=1e-12)[0]
@@ -229,12 +247,17 @@ class FreeFunctions:
 
 
 def _shapes(likelihood, j):
-    """Return triangles over variables of joint ``j``, dict of list of ndarray (S, K)."""
-    motions, found = likelihood.motions, {}
-    own = [variables(motion, j) for motion in motions]
+    """
+    Return triangles over variables of joint ``j``, and how null simulations of them differ.
+
+    Both dict of list of ndarray (S, K); the second where noise is not small beside the variable.
+    """
+    motions, found, noise = likelihood.motions, {}, {}
+    own, *null = ([variables(motion, j) for motion in run]
+                  for run in (motions, *likelihood.null_pair))
     others = [of_others(motion, j) for motion in motions]
     longest = max(motion.time[-1] - motion.time[0] for motion in motions)
-    moving = [_direction(one['link rate']) for one in own]
+    moving, *ways = ([_direction(one['link rate']) for one in run] for run in (own, *null))
     for name in (*_OF_FUNCTIONS, *(name for name in others[0] if name.startswith('link angle'))):
         if name == 'torsion' and likelihood.robot.arm.rigid[j]:
             continue
@@ -242,12 +265,22 @@ def _shapes(likelihood, j):
         # a block of time that is left out must not hold a knot alone
         knots = int(np.clip(longest / (2.0 * BLOCK), 3, _OF_TIME)) if name == 'time' else _KNOTS
         at = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, knots)))
-        found[name] = [np.stack([np.interp(one, at, unit) for unit in np.eye(len(at))], axis=1)
-                       for one in values]
+        found[name] = [_hats(one, at) for one in values]
+        if name in _READ:
+            noise[name] = [_hats(one[name], at) - _hats(two[name], at)
+                           for one, two in zip(*null, strict=True)]
         if name in _DIRECTED:
-            found[f'{name} times the direction of motion'] = [
+            directed = f'{name} times the direction of motion'
+            found[directed] = [
                 hats * way[:, None] for hats, way in zip(found[name], moving, strict=True)]
-    return found
+            noise[directed] = [hats * (one - two)[:, None] for hats, one, two in zip(
+                found[name], *ways, strict=True)]
+    return found, noise
+
+
+def _hats(values, at):
+    """Return triangles (S, K) of values (S,) with their tops at knots (K,)."""
+    return np.stack([np.interp(values, at, unit) for unit in np.eye(len(at))], axis=1)
 
 
 def _direction(rate):
