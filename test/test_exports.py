@@ -77,6 +77,22 @@ def test_steady_friction_in_mujoco_is_the_stribeck_curve(robot, rate):
     assert found == pytest.approx(-steady_friction(np.array([rate]), axis.friction)[0], rel=1e-3)
 
 
+@pytest.mark.parametrize('rigid', [True, False])
+def test_a_linear_axis_slides(robot, rigid):
+    """Under a force of nothing else than its spring it moves a mass, along a line."""
+    arm = replace(robot.arm, kind='decoupled', axes='linear', mass=[0.0, 0.0], com=[0.0, 0.0],
+                  stiffness=[np.inf, np.inf] if rigid else robot.arm.stiffness)
+    motors = ('', '') if rigid else robot.motors
+    library, model, data = loaded(replace(robot, arm=arm, motors=motors))
+    assert np.all(model.jnt_type == library.mjtJoint.mjJNT_SLIDE)
+    mass = np.zeros((model.nv, model.nv))
+    library.mj_forward(model, data)
+    library.mj_fullM(model, data, mass)
+    of_links = arm.inertia + rigid * arm.motor_inertia
+    np.testing.assert_allclose(np.diag(mass), of_links if rigid else [
+        *of_links, *arm.motor_inertia], rtol=1e-6)
+
+
 def test_the_blocks_yield_one_by_one(robot):
     """A slow displacement loads each block up to its level, and a return unloads it: Eq. (2)."""
     axis = axis_of(robot)

@@ -46,6 +46,7 @@ ARMS = {
     'half rigid': {'stiffness': [np.inf, 1.5]},
     'decoupled': {'kind': 'decoupled', 'mass': [0.0, 0.0], 'com': [0.0, 0.0],
                   'length': [0.0, 0.0]}}
+ARMS['linear'] = {**ARMS['decoupled'], 'axes': 'linear'}
 
 
 @pytest.mark.parametrize('arm', ARMS)
@@ -53,7 +54,10 @@ ARMS = {
 def test_mujoco_finds_our_mass_matrix_in_the_links(arm, q):
     """Of a rigid joint URDF lacks the motor's share of its inertia."""
     one = robot(**ARMS[arm])
-    found = mujoco_mass(robot_urdf(one, motors=False), one.joints, q)
+    text = robot_urdf(one, motors=False)
+    kinds = {joint.get('type') for joint in ElementTree.fromstring(text).iter('joint')}
+    assert kinds == {'prismatic' if one.arm.axes == 'linear' else 'continuous'}
+    found = mujoco_mass(text, one.joints, q)
     told = matrices(q, ZERO, ZERO, ZERO, one.arm).mass
     rigid = np.diag(np.where(one.arm.rigid, one.arm.motor_inertia, 0.0))
     assert np.allclose(found, told - rigid, rtol=1e-9, atol=1e-9)

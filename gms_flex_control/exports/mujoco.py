@@ -164,7 +164,7 @@ def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) ->
     """
     Return a robot with effects among `EFFECTS` as MJCF for MuJoCo 4 (str).
 
-    Hinges and actuators have the names of links and motors, in their order: first all links, then
+    Joints and actuators have the names of links and motors, in their order: first all links, then
     the motors of flexible joints; one input per joint [N m]. ``without`` ``presliding`` friction
     has no blocks: MuJoCo's dry friction takes their place. ConfigError if the ``timestep`` [s] is
     too long for the stiffest spring.
@@ -242,22 +242,24 @@ def _require_short(robot, joints, timestep):
 
 
 def _link(parent, robot, j, joint):
-    """Add a link with its hinge; return its body."""
+    """Add a link with its joint; return its body."""
     arm = robot.arm
     rigid = bool(arm.rigid[j])
     place = arm.length[j - 1] if j and arm.kind == 'planar' else 0.0
     body = ElementTree.SubElement(parent, 'body', name=f'{robot.joints[j]}_link',
                                   pos=_text(place, 0.0, 0.0), euler=_text(0.0, 0.0, arm.offset[j]))
     bias = 0.5 * _SIGNS @ (joint.loss + sum(levels for _, levels in joint.elements))
-    hinge = _hinge(body, robot.joints[j], joint.viscous.min() + rigid * joint.motor_viscous,
-                   joint.loss.mean() + rigid * joint.motor_loss,
-                   joint.link_torque + rigid * joint.motor_torque - bias, joint.drag)
+    moves = _moving(body, arm, robot.joints[j],
+                    joint.viscous.min() + rigid * joint.motor_viscous,
+                    joint.loss.mean() + rigid * joint.motor_loss,
+                    joint.link_torque + rigid * joint.motor_torque - bias, joint.drag)
     if rigid:
-        hinge.set('armature', _text(arm.motor_inertia[j]))
+        moves.set('armature', _text(arm.motor_inertia[j]))
+    slides = arm.axes == 'linear'
+    mass, inertia = (arm.inertia[j], 0.0) if slides else (arm.mass[j], arm.inertia[j])
     ElementTree.SubElement(
-        body, 'inertial', pos=_text(arm.com[j], 0.0, 0.0),
-        mass=_text(max(arm.mass[j], _LEAST_MASS)),
-        diaginertia=_text(*[max(arm.inertia[j], _LEAST_MASS)] * 3))
+        body, 'inertial', pos=_text(arm.com[j], 0.0, 0.0), mass=_text(max(mass, _LEAST_MASS)),
+        diaginertia=_text(*[max(inertia, _LEAST_MASS)] * 3))
     length = arm.length[j] or 2.0 * arm.com[j] or 0.2
     ElementTree.SubElement(body, 'geom', type='capsule', size=_text(0.05 * abs(length)),
                            fromto=_text(0.0, 0.0, 0.0, length, 0.0, 0.0), mass='0')
@@ -265,25 +267,27 @@ def _link(parent, robot, j, joint):
 
 
 def _motor(world, robot, j, joint):
-    """Add the rotor of a flexible joint; its inertia is the armature of its hinge."""
+    """Add the rotor of a flexible joint; its inertia is the armature of its own joint."""
     body = ElementTree.SubElement(world, 'body', name=f'{robot.motors[j]}_rotor')
-    hinge = _hinge(body, robot.motors[j], joint.motor_viscous, joint.motor_loss,
-                   joint.motor_torque)
-    hinge.set('armature', _text(robot.arm.motor_inertia[j]))
+    moves = _moving(body, robot.arm, robot.motors[j], joint.motor_viscous, joint.motor_loss,
+                    joint.motor_torque)
+    moves.set('armature', _text(robot.arm.motor_inertia[j]))
     ElementTree.SubElement(body, 'inertial', pos='0 0 0', mass=_text(_LEAST_MASS),
                            diaginertia=_text(*[_LEAST_MASS] * 3))
 
 
-def _hinge(body, name, viscous, loss, torque, drag=0.0):
-    hinge = ElementTree.SubElement(body, 'joint', name=name, type='hinge', axis='0 0 1')
+def _moving(body, arm, name, viscous, loss, torque, drag=0.0):
+    """Add the hinge, of a linear axis the slide, of a body."""
+    kind, axis = ('slide', '1 0 0') if arm.axes == 'linear' else ('hinge', '0 0 1')
+    joint = ElementTree.SubElement(body, 'joint', name=name, type=kind, axis=axis)
     if viscous or drag:
-        hinge.set('damping', _text(viscous, *([drag] if drag else [])))
+        joint.set('damping', _text(viscous, *([drag] if drag else [])))
     if loss:
-        hinge.attrib.update(frictionloss=_text(loss), **_HARD)
+        joint.attrib.update(frictionloss=_text(loss), **_HARD)
     if torque:
-        hinge.attrib.update(stiffness=_text(abs(torque) / _FAR),
+        joint.attrib.update(stiffness=_text(abs(torque) / _FAR),
                             springref=_text(math.copysign(_FAR, torque)))
-    return hinge
+    return joint
 
 
 def _frictions(tendons, name, joint):

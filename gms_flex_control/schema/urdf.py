@@ -31,7 +31,7 @@ def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin='') -> str
     A planar chain, or decoupled axes, which are put side by side; a robot that has a URDF gets
     that one back, friction put in, its links and limits its own. One joint per link and motor,
     about z, named as in the robot: ``revolute`` where ``limits`` give a range, else
-    ``continuous``. ``motors`` is whether flexible joints get a joint of their own for the motor,
+    ``continuous``; of linear axes ``prismatic`` along x. ``motors`` is whether flexible joints get a joint of their own for the motor,
     ``plugin`` the hardware interface of a ``<ros2_control>`` block, '' for no block.
     """
     if robot.arm.frames is not None:
@@ -105,8 +105,11 @@ def _add_link(root, robot, j, size):
     _visual(link, 'link', {'box': {'size': _text(size[j], 0.12 * size[j], 0.02)}},
             (0.5 * size[j], 0.0, 0.0))
     inertia = arm.inertia[j]
-    _inertial(link, arm.mass[j], arm.com[j], (_ROD * inertia, inertia, inertia))
-    joint = _joint(root, robot.joints[j], parent, _link_name(robot, j), place, arm.offset[j])
+    if arm.axes == 'linear':
+        _inertial(link, inertia, 0.0, (0.0,) * 3)
+    else:
+        _inertial(link, arm.mass[j], arm.com[j], (_ROD * inertia, inertia, inertia))
+    joint = _joint(root, arm, j, robot.joints[j], parent, _link_name(robot, j), place)
     if arm.rigid[j] and arm.motor_inertia[j] > 0.0:
         joint.append(ElementTree.Comment(
             f' rigid joint: motor inertia {arm.motor_inertia[j]:g} kg m^2 comes on top '))
@@ -120,8 +123,9 @@ def _add_motor(root, robot, j, size):
     _visual(rotor, 'motor', _cylinder(0.12 * size[j], 0.03), (0.0, 0.0, 0.03))
     _visual(rotor, 'motor', {'box': {'size': _text(0.3 * size[j], 0.02, 0.01)}},
             (0.15 * size[j], 0.0, 0.05))
-    _inertial(rotor, 0.0, 0.0, (arm.motor_inertia[j],) * 3)
-    joint = _joint(root, motor, parent, f'{motor}_link', place, arm.offset[j])
+    slides, inertia = arm.axes == 'linear', arm.motor_inertia[j]
+    _inertial(rotor, slides * inertia, 0.0, ((not slides) * inertia,) * 3)
+    joint = _joint(root, arm, j, motor, parent, f'{motor}_link', place)
     joint.append(ElementTree.Comment(
         f' spring to its link: {arm.stiffness[j]:g} N m/rad, {arm.damping[j]:g} N m s/rad '))
 
@@ -134,9 +138,14 @@ def _limit(root, robot, limits):
         j = (robot.joints if ranged else robot.motors).index(called)
         limit = {'effort': _text(limits.torque[j]), 'velocity': _text(limits.velocity[j])}
         if ranged and max(-limits.lower[j], limits.upper[j]) < UNLIMITED:
-            joint.set('type', 'revolute')
-            limit |= {'lower': _text(limits.lower[j]), 'upper': _text(limits.upper[j])}
-        joint.insert(4, ElementTree.Element('limit', limit))
+            if joint.get('type') == 'continuous':
+                joint.set('type', 'revolute')
+            limit |= _range(limits.lower[j], limits.upper[j])
+        old = joint.find('limit')
+        if old is None:
+            joint.insert(4, ElementTree.Element('limit', limit))
+        else:
+            old.attrib.update(limit)
 
 
 def _add_ros2_control(root, robot, name, motors, plugin):
@@ -154,13 +163,23 @@ def _add_ros2_control(root, robot, name, motors, plugin):
             ElementTree.SubElement(joint, 'state_interface', name=what)
 
 
-def _joint(root, name, parent, child, place, angle):
-    joint = ElementTree.SubElement(root, 'joint', name=name, type='continuous')
+def _joint(root, arm, j, name, parent, child, place):
+    slides = arm.axes == 'linear'
+    joint = ElementTree.SubElement(root, 'joint', name=name,
+                                   type='prismatic' if slides else 'continuous')
     ElementTree.SubElement(joint, 'parent', link=parent)
     ElementTree.SubElement(joint, 'child', link=child)
+    angle = 0.0 if slides else arm.offset[j]
     ElementTree.SubElement(joint, 'origin', xyz=_text(*place), rpy=_text(0.0, 0.0, angle))
-    ElementTree.SubElement(joint, 'axis', xyz='0 0 1')
+    ElementTree.SubElement(joint, 'axis', xyz='1 0 0' if slides else '0 0 1')
+    if slides:  # URDF wants them
+        ElementTree.SubElement(joint, 'limit', _range(-UNLIMITED, UNLIMITED) | dict.fromkeys(
+            ('effort', 'velocity'), _text(UNLIMITED)))
     return joint
+
+
+def _range(lower, upper):
+    return {'lower': _text(lower), 'upper': _text(upper)}
 
 
 def _inertial(link, mass, com, diagonal):
