@@ -10,7 +10,8 @@ import warnings
 import faulty
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.writer import write_recording
-from gms_flex_control.schema.files import load_robot, save_robot
+from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.files import load_robot, save_robot, save_values
 from identified_axis import axis, experiment, JOINT
 import numpy as np
 import pytest
@@ -88,10 +89,13 @@ def test_a_fault_is_refused_in_one_sentence(tmp_path, capsys, base, fault, words
 
 
 def test_motion_one_way_gives_friction_of_that_way_alone(tmp_path):
-    """The other way is set to it, and has no interval."""
+    """The other way is set to it, and has no interval; the robot file states no friction."""
     recording, robot = faulty.healthy('rigid gravity')
+    stated = {name: value for name, value in robot_values(robot).items()
+              if not name.startswith('friction.')}
+    save_values(stated, tmp_path / 'robot.yaml')
     assert identified(tmp_path, bag_of(tmp_path, faulty.one_way(recording), robot), '--robot',
-                      saved(tmp_path, robot)) == 0
+                      tmp_path / 'robot.yaml') == 0
     report = json.loads((tmp_path / 'out' / 'report.json').read_text())
     found = {one['name']: one for joint in report['joints'] for one in joint['estimates']}
     for j, joint in enumerate(robot.joints):

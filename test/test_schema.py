@@ -13,7 +13,12 @@ from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.params.key import offered_range
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.schema.files import load_controller, load_robot, save_robot
+from gms_flex_control.schema.files import (
+    load_controller,
+    load_robot,
+    load_robot_to_identify,
+    save_robot,
+)
 from gms_flex_control.schema.keys import controller_keys, trajectory_keys
 import numpy as np
 import pytest
@@ -224,6 +229,21 @@ def test_a_file_that_is_no_robot_is_refused_by_name(text, sentence, tmp_path):
         load_robot(path)
     assert str(error.value).startswith(str(path))
     assert sentence in str(error.value)
+
+
+def test_friction_that_is_to_be_identified_need_not_be_stated(tmp_path, robot):
+    """Of a joint of which nothing is stated; the arm is as ever, and a gap is still refused."""
+    arm, _, friction = ROBOT.partition('    friction:\n')
+    _, joint2, of_joint2 = friction.partition('      joint2:\n')
+    path = written(tmp_path, f'{arm}    friction:\n{joint2}{of_joint2}')
+    with pytest.raises(ConfigError, match=r'friction\.joint1\.forward\.static is missing'):
+        load_robot(path)
+    found = load_robot_to_identify(path)
+    assert found.arm.mass.tolist() == robot.arm.mass.tolist()
+    assert found.friction.forward.static[1] == robot.friction.forward.static[1]
+    path.write_text(changed('attraction: 1.5', '#'), encoding='utf-8')
+    with pytest.raises(ConfigError, match=r'friction\.joint1\.attraction is missing'):
+        load_robot_to_identify(path)
 
 
 @pytest.mark.parametrize('place', ['nowhere.yaml', '.'])

@@ -23,7 +23,7 @@ from gms_flex_control.reports import bags_summary
 from gms_flex_control.reports.answers import identification_answer, identification_text
 from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.schema.build import robot_values
-from gms_flex_control.schema.files import load_robot
+from gms_flex_control.schema.files import load_robot_to_identify
 
 
 def identify_verb(args) -> int:
@@ -79,7 +79,7 @@ def _robot_of(args):
     """Return the robot of the arguments; without a file, rigid axes named as in the bag."""
     if args.robot is None:
         return _robot_in(args.bags[0], args.joints)
-    robot = load_robot(args.robot)
+    robot = load_robot_to_identify(args.robot)
     return only_joints(robot, args.joints) if args.joints else robot
 
 

@@ -26,6 +26,9 @@ _OF_LINKS = ('mass', 'length', 'com', 'inertia')  # which a URDF states
 _FACTORS = ('mass_factor', 'inertia_factor')      # on what a URDF states
 MOST_JOINTS = 7
 _ROWS, _COLUMNS = np.triu_indices(3)  # of an inertia in ten numbers
+# stands for friction that is to be identified; no fit relies on it
+_PLACEHOLDER = {f'{way}.{name}': 1.0 for way in ('forward', 'backward') for name in STRIBECK} | {
+    'stiffness': (100.0,), 'weight': (1.0,), 'attraction': 1.0}
 
 
 def complete(keys, values: dict) -> dict:
@@ -76,6 +79,14 @@ def robot_from_values(values: dict) -> RobotParams:
     return RobotParams(joints=joints, motors=tuple(motors), arm=arm, encoder=encoder,
                        friction=_friction(flat, joints), effects=effects,
                        uncertainty=uncertainty)
+
+
+def robot_to_identify(values: dict) -> RobotParams:
+    """Return `robot_from_values`, with a placeholder for friction of which nothing is stated."""
+    unknown = [prefix for prefix in (f'friction.{joint}.' for joint in joint_names(values))
+               if not any(name.startswith(prefix) for name in values)]
+    return robot_from_values(values | {prefix + name: value for prefix in unknown
+                                       for name, value in _PLACEHOLDER.items()})
 
 
 def _columns(params, flat, prefix, joints):

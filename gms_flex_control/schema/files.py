@@ -94,6 +94,11 @@ def load_robot(paths) -> RobotParams:
     return _built(paths, build.robot_from_values)
 
 
+def load_robot_to_identify(paths) -> RobotParams:
+    """Read the robot like `load_robot`; joints may lack friction, which is to be identified."""
+    return _built(paths, build.robot_to_identify)
+
+
 def load_limits(paths, joints) -> Limits | None:
     """
     Read the Limits of ``joints`` from parameter files, such as ``config/bridge.yaml``.
