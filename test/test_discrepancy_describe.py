@@ -16,7 +16,11 @@ from gms_flex_control.discrepancy.describe import (
     torque_scale,
 )
 from gms_flex_control.discrepancy.likelihood import Likelihood
-from gms_flex_control.discrepancy.remainder import signature_of
+from gms_flex_control.discrepancy.remainder import (
+    dependence,
+    predicted_share,
+    signature_of,
+)
 from gms_flex_control.discrepancy.result import Discrepancy, FOUND, Noise, Signature
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.discrepancy.workflow import _known_off
@@ -112,3 +116,16 @@ def test_what_is_left_is_described_where_most_is_left(robot, gains):
         likelihood = Likelihood(order, robot)
         found = signature_of(likelihood, as_believed(likelihood), 1.0)
         assert (found.equation, found.joint, found.variable) == ('motor', 'joint2', 'constant')
+
+
+def test_a_torque_that_stays_while_a_joint_rests_is_no_function_of_its_angle():
+    """Each rest is at another angle: any torque is a function of it there, but predicts nothing."""
+    rng = np.random.default_rng(5)
+    angle, torque = (np.repeat(rng.uniform(-1.0, 1.0, 30), 80) for _ in range(2))
+    passes = np.sin(np.linspace(0.0, 40.0, len(angle)))
+    for values, residual, share, predicted in (
+            (angle, torque, 0.7, 0.0), (passes, np.sin(3.0 * passes), 0.95, 0.95)):
+        places = np.floor(10.0 * values).astype(int) + 10
+        visits = np.cumsum(np.diff(places, prepend=places[0]) != 0)
+        assert dependence(values, residual) > share
+        assert predicted_share(places, visits, residual) == pytest.approx(predicted, abs=0.05)

@@ -56,12 +56,40 @@ def of_others(motion, j) -> dict[str, np.ndarray]:
 
 def dependence(values, residual) -> float:
     """Return the share of a residual's (S,) variance that bins of values explain."""
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
-    places = np.searchsorted(edges, values)
+    places = np.searchsorted(_edges(values), values)
     count = np.maximum(np.bincount(places, minlength=_BINS), 1)
     means = np.bincount(places, weights=residual, minlength=_BINS) / count
     return float(np.sum(count * (means - residual.mean()) ** 2)
                  / max(np.sum((residual - residual.mean()) ** 2), 1e-300))
+
+
+def _edges(values):
+    return np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
+
+
+def predicted_share(places, visits, residual) -> float:
+    """
+    Return the share of a residual's (S,) variance that other visits of the same place predict.
+
+    ``places`` and ``visits`` are int (S,). A torque that stays while a joint rests is a function
+    of its angle, if each rest is at another one, and predicts nothing.
+    """
+    total, count = np.bincount(places, weights=residual), np.bincount(places)
+    own, length = np.bincount(visits, weights=residual), np.bincount(visits)
+    others = count[places] - length[visits]
+    told = np.where(others > 0, (total[places] - own[visits]) / np.maximum(others, 1),
+                    residual.mean())
+    left = np.sum((residual - told) ** 2) / max(np.sum((residual - residual.mean()) ** 2), 1e-300)
+    return max(0.0, 1.0 - float(left))
+
+
+def _predicted_by(name, values, residual, period):
+    """Return `predicted_share` of bins of a variable, of time each in two parts."""
+    if name == 'time':
+        parts = (np.arange(len(residual)) * period / BLOCK).astype(int)
+        return predicted_share(parts // 2, parts, residual)
+    places = np.searchsorted(_edges(values), values)
+    return predicted_share(places, np.cumsum(np.diff(places, prepend=places[0]) != 0), residual)
 
 
 def tone(rows, period) -> tuple[float, float]:
@@ -99,7 +127,7 @@ def signature_of(likelihood, model, share, free=None) -> Signature:
     residual = likelihood.torque(model)[worst][:, channel]
     at = np.clip(np.searchsorted(motion.time - motion.time[0], whitening.time), 0,
                  len(motion.time) - 1)
-    shares = {name: dependence(values[at], residual)
+    shares = {name: _predicted_by(name, values[at], residual, whitening.row_period)
               for name, values in (variables(motion, j) | of_others(motion, j)).items()}
     variable = max(shares, key=shares.get)
     frequency, line = tone(residual, whitening.row_period)
