@@ -195,9 +195,9 @@ def gap_numbers(gap) -> tuple:
 
 def _values(result):
     """Return the values of the finding that matters most as Numbers; noise makes its interval."""
-    if not result.named:
+    if not result.added:
         return []
-    first, numbers = result.named[0], []
+    first, numbers = result.added[0], []
     for value in first.values:
         scale = (angle_scale(value.value) if value.unit == 'rad' else torque_scale(value.value)
                  if value.unit == 'N m' else Scale(value.unit, 1.0))
@@ -212,9 +212,7 @@ def _lacking(result):
         left = result.unexplained
         return ' '.join(filter(None, (
             of_not_added(result), left and 'Something is missing that no effect of the catalogue '
-            f'explains: {left.sentence}'))) or (
-                'Nothing that matters is missing: on held-out data the error of the model does '
-                'not exceed the noise floor, which encoders and torque noise alone produce.')
+            f'explains: {left.sentence}'))) or _complete(result.gap)
     effects = ' and '.join(
         f'{one.effect} of {one.joint} ({value_words(one)}'
         + (f'; indistinguishable here from {of_joints(one.indistinguishable_from)})'
@@ -233,9 +231,23 @@ def _lacking(result):
             'torque noise alone would leave.')
 
 
+def _complete(gap):
+    floor = 'the noise floor, which encoders and torque noise alone produce.'
+    if all(_total(after) <= _AT_FLOOR * _total(least) for after, least in (
+            (gap.after, gap.floor), (gap.free_after, gap.free_floor))):
+        return ('Nothing that matters is missing: on held-out data the error of the model does '
+                f'not exceed {floor}')
+    return ('No effect of the catalogue improves the prediction of held-out data by what matters, '
+            f'though its error exceeds {floor}')
+
+
+def _total(errors):
+    return float(np.sqrt(np.nansum(errors ** 2)))
+
+
 def _change(name, without, found, floor):
     """Return an error's name, how it changes in words, and whether it shrinks to its floor."""
-    before, after, least = (float(np.sqrt(np.nansum(one ** 2))) for one in (without, found, floor))
+    before, after, least = map(_total, (without, found, floor))
     share = 1.0 - after / before
     if abs(share) < _CHANGED:
         return name, f'{name} stays as it is', False
