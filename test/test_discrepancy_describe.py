@@ -119,7 +119,7 @@ def test_what_is_left_is_described_where_most_is_left(robot, gains):
 
 
 def test_a_torque_that_stays_while_a_joint_rests_is_no_function_of_its_angle():
-    """Each rest is at another angle: any torque is a function of it there, but predicts nothing."""
+    """Each rest is at another angle: any torque is a function of it, but predicts nothing."""
     rng = np.random.default_rng(5)
     angle, torque = (np.repeat(rng.uniform(-1.0, 1.0, 30), 80) for _ in range(2))
     passes = np.sin(np.linspace(0.0, 40.0, len(angle)))

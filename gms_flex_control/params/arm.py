@@ -89,7 +89,7 @@ class ArmParams:
     mass: np.ndarray = number('mass of the link', 'kg', 0.0, 0.0)
     length: np.ndarray = number('distance to the next joint', 'm', 0.0, 0.0)
     com: np.ndarray = number('centre of mass from the joint', 'm', 0.0)
-    inertia: np.ndarray = number('inertia about the centre of mass, beside which mass com^2 counts',
+    inertia: np.ndarray = number('inertia about the centre of mass; mass com^2 comes on top',
                                  'kg m^2', lower=0.0, unless=('arm.kind', 'urdf'))
     motor_inertia: np.ndarray = number('motor inertia reflected to the joint', 'kg m^2', lower=0.0)
     stiffness: np.ndarray = number('stiffness of the joint; .inf for a rigid one', 'N m/rad',

@@ -31,8 +31,9 @@ def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin='') -> str
     A planar chain, or decoupled axes, which are put side by side; a robot that has a URDF gets
     that one back, friction put in, its links and limits its own. One joint per link and motor,
     about z, named as in the robot: ``revolute`` where ``limits`` give a range, else
-    ``continuous``; of linear axes ``prismatic`` along x. ``motors`` is whether flexible joints get a joint of their own for the motor,
-    ``plugin`` the hardware interface of a ``<ros2_control>`` block, '' for no block.
+    ``continuous``; of linear axes ``prismatic`` along x. ``motors`` is whether flexible joints get
+    a joint of their own for the motor, ``plugin`` the hardware interface of a ``<ros2_control>``
+    block, '' for no block.
     """
     if robot.arm.frames is not None:
         return _with_friction(robot)
