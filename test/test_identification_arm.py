@@ -40,6 +40,13 @@ def test_gravity_is_not_made_up_where_there_is_none():
     assert fit.inertia == pytest.approx(0.02, rel=0.02)
 
 
+def test_a_linear_axis_has_no_gravity_that_turns_with_its_position():
+    take = pendulum()
+    robot = rigid_joints(take.joints)
+    found = estimate_arm([take], replace(robot, arm=replace(robot.arm, axes='linear')))
+    assert found.has_gravity == (False,) and not found.robot.arm.gravity.any()
+
+
 def test_a_torque_too_large_for_asymmetry_of_friction_is_a_constant():
     fit = fit_axis(rows_of([pendulum(pull=0.0, constant=0.2)], held_torque(0), 0), 'swing', '-')
     assert fit.constant == pytest.approx(0.2, rel=0.03)

@@ -120,6 +120,14 @@ def test_units_of_linear_axes(robot, rotary, written):
     assert in_units(robot.arm, rotary) == rotary
 
 
+@pytest.mark.parametrize(('changes', 'sentence'), [
+    ({'gravity': 9.81}, 'the weight on a linear axis as effects.<joint>.constant_link_torque'),
+    ({'inertia': [0.0, 0.0], 'com': [0.0, 0.0]}, r'needs inertia, the mass that moves \[kg\]')])
+def test_what_moves_a_linear_axis_is_asked_for(robot, changes, sentence):
+    with pytest.raises(ParameterError, match=sentence):
+        replace(linear(robot).arm, **changes)
+
+
 def test_the_file_keeps_them_and_a_chain_has_none(robot, tmp_path):
     path = tmp_path / 'robot.yaml'
     save_robot(linear(robot), path)

@@ -122,7 +122,7 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     for j in range(n):
         rows = rows_of(recordings, drives[j], j)
         axis, ripple = fit_axis_with_ripple(recordings, rows, j, robot.joints[j],
-                                            recordings[0].source)
+                                            recordings[0].source, arm.axes == 'rotary')
         ripples.append(ripple)
         inertia = _inertia_to_use(axis, rows)
         arm = with_axis(arm, j, inertia, axis.cosine, axis.sine)
@@ -354,7 +354,7 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
                            'taken off the torque before friction was fitted'),
                  estimated(f'{of_ripple}.order', '1', ripple.order, ripple.order_error,
                            'periods in 2 pi of the angle')]
-    if 1 not in numbers:
+    if 1 not in numbers and robot.arm.axes == 'rotary':
         rows.append(estimated(f'{name}.gravity_torque', 'N m', 0.0, None, 'no gravity is seen in '
                               'this motion: it does not lower the error on data held out', False))
     return rows

@@ -173,9 +173,10 @@ def friction_regressors(rate: np.ndarray, usual: float | None = None) -> np.ndar
     return np.stack(columns, axis=1)
 
 
-def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None) -> AxisFit:
+def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None,
+             turns: bool = True) -> AxisFit:
     """
-    Fit inertia and gravity of one axis.
+    Fit inertia and, where it ``turns``, gravity of one axis.
 
     ``wave`` (S, 2) are sine and cosine of a ripple that is fitted as well, filtered as the rows;
     ``joint`` and ``source`` are for messages. Raises IdentificationError if the axis hardly moves.
@@ -197,7 +198,7 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     both = np.concatenate([rows.acceleration[:, None], gravity, others[:, 1:]], axis=1)
     enough = _WORTH if np.ptp(rows.angle) > _NARROW else _CLEAR
     with_gravity, off = _held_out(both, rows), _held_out(others, rows)
-    has_gravity = with_gravity < enough * off
+    has_gravity = turns and with_gravity < enough * off
     columns = both if has_gravity else others
     values, error = _solution(columns, rows)
     known = values[0] > CONFIDENT * error[0]
@@ -290,13 +291,13 @@ def _held_out(columns, rows):
 
 
 def fit_axis_with_ripple(recordings: Sequence, rows: Rows, joint: int, name: str,
-                         source: str) -> tuple:
+                         source: str, turns: bool = True) -> tuple:
     """
     Return the AxisFit with the largest ripple that these data show, and the Ripple.
 
     None for the Ripple where none helps on data held out. Otherwise as `fit_axis`.
     """
-    axis, span = fit_axis(rows, name, source), float(np.ptp(rows.angle))
+    axis, span = fit_axis(rows, name, source, turns=turns), float(np.ptp(rows.angle))
     orders = standing_out([rows.angle], [axis.left], [rows.rate],
                           2.0 * np.pi * FEWEST_WAVES / max(span, 1e-300))
     if not orders:
@@ -304,7 +305,7 @@ def fit_axis_with_ripple(recordings: Sequence, rows: Rows, joint: int, name: str
     found, order = axis, orders[0]
     for _ in range(_RIPPLE_ROUNDS):
         order = _nearest_best(recordings, joint, found.left + found.rippling, order, span)
-        found = fit_axis(rows, name, source, _waves_of(recordings, joint, order))
+        found = fit_axis(rows, name, source, _waves_of(recordings, joint, order), turns)
     size = float(np.hypot(*found.wave))
     if found.off > _WORTH * axis.off or size < _RIPPLE_CLEAR * found.wave_error:
         return axis, None

@@ -115,6 +115,9 @@ class ArmParams:
             raise ParameterError(f'arm.kind urdf goes with frames, got {self.kind} '
                                  f"{'without' if self.frames is None else 'with'} them")
         freeze_arrays(self, skip=('kind', 'axes', 'frames'))
+        if self.axes == 'linear' and self.gravity.any():
+            raise ParameterError('arm.gravity goes with joints that turn: give the weight on a '
+                                 'linear axis as effects.<joint>.constant_link_torque.bias [N]')
         if self.gravity.shape == ():
             object.__setattr__(self, 'gravity', np.array([0.0, -float(self.gravity)]))
         n, space = self.stiffness.shape, () if self.frames is None else (3,)
@@ -147,7 +150,9 @@ class ArmParams:
     def _require_inertia(self):
         about_joint = self.link_inertia + np.where(self.rigid, self.motor_inertia, 0.0)
         if np.any(about_joint <= 0.0):
-            raise ParameterError(f'each link needs inertia or mass away from its joint, '
+            needs = ('inertia, the mass that moves [kg]' if self.axes == 'linear'
+                     else 'inertia or mass away from its joint')
+            raise ParameterError(f'each link needs {needs}, '
                                  f'got inertia {self.inertia}, mass {self.mass}, com {self.com}')
 
     @property
