@@ -4,13 +4,14 @@
 """An experiment on a simulated axis, identified: what comes out is what was put in."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 from core_runs import scaled_friction, single_axis
 from discrepancy_runs import FRICTIONLESS
 from gms_flex_control.data.recording import Phase
 from gms_flex_control.identification.friction_map import friction_map
 from gms_flex_control.identification.identify import Data, identify, Options
-from gms_flex_control.identification.segments import Segment
+from gms_flex_control.identification.segments import resolution, Segment
 from identified_axis import axis, experiment, JOINT, part, STATIC, without_phases, YIELDS
 import numpy as np
 import pytest
@@ -211,6 +212,13 @@ def test_recordings_of_unlike_rates_are_taken_at_the_slower_one():
     slow = (replace(take[0], time=1.5 * take[0].time, source='slow'), ())
     with pytest.warns(UserWarning, match='sampled every 2 to 3 ms; all are taken every 3 ms'):
         assert Data([take, slow], (), axis()).bundle.period == pytest.approx(3e-3)
+
+
+def test_noise_of_an_encoder_is_seen_beside_lost_samples():
+    angle = np.linspace(0.0, 3.0, 4000) + 1e-4 * np.random.default_rng(4).standard_normal(4000)
+    angle[::97] = np.nan
+    segments = [SimpleNamespace(angle=part[:, None]) for part in np.split(angle, 2)]
+    assert resolution(segments, 0, 0.0) == pytest.approx(3e-4, rel=0.1)
 
 
 def test_few_data_of_which_a_quarter_is_no_test_of_the_joint_are_fitted():

@@ -311,7 +311,7 @@ def resolution(segments: Sequence[Segment], joint: int, count: float) -> float:
     """Return the encoder step, or three times the noise where there is no step [rad]."""
     if count > 0.0:
         return count
-    noise = [np.median(np.abs(np.diff(segment.angle[:, joint], 3))) / np.sqrt(20.0) / 0.6745
+    noise = [np.nanmedian(np.abs(np.diff(segment.angle[:, joint], 3))) / np.sqrt(20.0) / 0.6745
              for segment in segments]
     return max(3.0 * float(np.nanmedian(noise)), 1e-9)
 
