@@ -135,7 +135,8 @@ class BaseFlexibility(Term):
     needs_link_encoder = True
     acts_along_motion = False  # needs torques that only a simulation has
     parameters = (
-        Parameter('frequency', 'Hz', 'natural frequency w / 2 pi', lower=0.0),
+        Parameter('frequency', 'Hz', 'natural frequency w / 2 pi', lower=0.0,
+                  searched=(1.0, 20.0)),  # beyond, nothing is looked at: it would stand for a lag
         Parameter('inertia', 'kg m^2', 'inertia of the base about the joint', lower=0.0),
         Parameter('damping', '1', 'damping ratio', lower=0.0, upper=0.99))
 
