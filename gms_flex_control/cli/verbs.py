@@ -257,7 +257,8 @@ _NEXT = Verb(
                help='robot files that discrepancy was given, later ones winning'),
         CONTROLLER,
         option('--limits', nargs='+', required=True, metavar='FILE',
-               help='limits.<joint>.* as of the bridge: lower, upper, velocity, torque'),
+               help='limits.<joint>.* as of the bridge: lower, upper, velocity, torque, '
+                    'torque_rate'),
         option('--effects', nargs='+', metavar='EFFECT:JOINT[+EFFECT:JOINT]',
                help='explanations to separate; default: those that RESULT leaves'),
         number('--rate', 'HZ', 500.0, 'of the controller', least=10.0, most=10_000.0),
@@ -363,7 +364,7 @@ _COMPARE = Verb(
         *BATCH, out_folder('report.html, comparison.json, journal', 'comparison'), JSON),
     ('compare', 'compare robot.yaml --controller tuned/controller.yaml --out comparison',
      'compare robot.yaml results/friction.yaml --draws 20',
-     'compare my_bag --robot robot.yaml --out along_bag'))
+     'compare my_bag --robot robot.yaml --controller tuned/controller.yaml --out along_bag'))
 _EXPORT = Verb(
     'export', 'robots.export',
     'the identified robot for MuJoCo, URDF, ros2_control, or as a table',
