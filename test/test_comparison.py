@@ -185,7 +185,7 @@ def test_without_a_reference_what_needs_one_is_left_out(plan):
     fits = dict.fromkeys(prediction.modes_to_fit(False), np.zeros((10, 2)))
     said = {one.mode: one for one in prediction.compare_along(found, plan.gains, 0.5, fits)}
     assert said['gms_desired'].error is None and said['lugre'].error is not None
-    assert said['gms'].remark == 'the bag has no reference'
+    assert said['gms'].remark == 'the bag has no reference with its derivatives'
     line = next(one for one in comparison_page.bag_text(
         list(said.values()), found, plan.robot.joints).splitlines() if 'GMS of desired' in one)
     assert line.split()[4] == '-'

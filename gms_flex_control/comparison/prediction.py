@@ -212,7 +212,8 @@ def compare_along(found, gains, share, fits) -> list:
     masks, result = split(found.pieces, share), []
     for mode, name in CONTESTANTS.items():
         if _lacks(mode) and not found.has_reference:
-            result.append(Prediction(mode, name, (), None, None, 'the bag has no reference'))
+            result.append(Prediction(mode, name, (), None, None,
+                                     'the bag has no reference with its derivatives'))
             continue
         robot, of = found.robot, 'gms_paper' if mode == 'gms_adaptive' else mode
         if _FITTED[mode]:
