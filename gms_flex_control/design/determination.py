@@ -125,8 +125,8 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
         if one is None:
             continue
         plan = closed_loop_plan(robot, robot, one, duration, loop.gains, period=period)
-        told, wanted, sd = _information([to_recording(run_plan(plan), plan)], robot, missing)
-        found.append(_worth(one, so_far + told, wanted, sd))
+        gained, wanted, sd = _information([to_recording(run_plan(plan), plan)], robot, missing)
+        found.append(_worth(one, so_far + gained, wanted, sd))
     if not found:
         raise ConfigError('every motion would cross a limit; widen the limits, or look at gains '
                           'with gms_flex tune')

@@ -233,8 +233,8 @@ class _Learning:
         values, size = np.array(one.spec.values[:len(columns)]), [
             number.sd for number in numbers_of(likelihood, model.robot)[-len(columns):]]
         scaled = (columns * np.array(size)[:, None])[values != 0.0]
-        told = np.linalg.eigvalsh((scaled * likelihood.weights(model.sums.groups)) @ scaled.T)
-        return float(np.sum(np.maximum(told, 0.0) / (1.0 + np.maximum(told, 0.0))))
+        known = np.linalg.eigvalsh((scaled * likelihood.weights(model.sums.groups)) @ scaled.T)
+        return float(np.sum(np.maximum(known, 0.0) / (1.0 + np.maximum(known, 0.0))))
 
     # --- candidates --------------------------------------------------------------------------
 

@@ -77,10 +77,10 @@ def predicted_share(places, visits, residual) -> float:
     total, count = np.bincount(places, weights=residual), np.bincount(places)
     own, length = np.bincount(visits, weights=residual), np.bincount(visits)
     others = count[places] - length[visits]
-    told = np.where(others > 0, (total[places] - own[visits]) / np.maximum(others, 1),
-                    residual.mean())
-    left = np.sum((residual - told) ** 2) / max(np.sum((residual - residual.mean()) ** 2), 1e-300)
-    return max(0.0, 1.0 - float(left))
+    expected = np.where(others > 0, (total[places] - own[visits]) / np.maximum(others, 1),
+                        residual.mean())
+    whole = np.sum((residual - residual.mean()) ** 2)
+    return max(0.0, 1.0 - float(np.sum((residual - expected) ** 2) / max(whole, 1e-300)))
 
 
 def _predicted_by(name, values, residual, period):

@@ -92,7 +92,7 @@ def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> 
     if all(one.operation.load_unknown for one in recordings):
         raise IdentificationError(
             f'{recordings[0].source}: the load of every recording is unknown, which cannot be '
-            'told from the last link: add a recording without a load or with a known one, or '
+            'separated from the last link: add a recording without a load or with a known one, or '
             'rely on the links of the URDF (without --estimate all)')
     base = base_of(arm, recordings[0].coupling)
     fit = _Fit(recordings, robot, sides, arm, base)
