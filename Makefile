@@ -3,7 +3,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-identify demo-discrepancy demo-next test test-fast lint bench bench-real screenshots pictures \
+.PHONY: help demo demo-identify demo-discrepancy demo-next test test-bench test-fast lint bench bench-real screenshots pictures \
         newcomers docs lock clean
 
 # A ROS installation or another environment in the caller's shell must not leak in.
@@ -30,6 +30,9 @@ demo-next: .venv/.with-ros  ## Leave two names, design and drive the motion that
 
 test: lint  ## Run the linters, the tests and a colcon build
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+test-bench: .venv/.with-test  ## Run the tests of the bench, with its demos over ROS 2
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder bench/test
 
 test-fast: .venv/.with-test  ## Run the tests without nodes, browser and long fits, in a minute
 	@$(BIN)/python -m pytest -q -n 2 --fast

@@ -44,7 +44,6 @@ from gms_flex_control.friction import gms
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import Body, carrying
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.schema.files import save_robot
 from gms_flex_control.simulation.plant import constants_of
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -155,38 +154,20 @@ def test_limits_that_no_motion_keeps_are_refused(gains, beliefs):
 CONFIG = Path(__file__).parents[1] / 'config'
 
 
-def test_rounds_in_simulation_leave_the_true_name(robot, forward_only, tmp_path, capsys):
-    biased, recording = forward_only
-    save_robot(biased, tmp_path / 'true.yaml')
-    write_recording(tmp_path / 'bag', replace(  # in amperes; the simulated robot's is torque
-        recording, tau_motor=20.0 * recording.tau_motor, command=20.0 * recording.command),
-                    robot.motors)
-    (tmp_path / 'bag' / 'recording.yaml').write_text(
-        'torque_constant: {joint1: 0.05, joint2: 0.05}\ntemperature: warm\n')
-    (tmp_path / 'gap').mkdir()
-    (tmp_path / 'gap' / 'report.json').write_text(json.dumps({
+@pytest.mark.parametrize(('effects', 'sentence'), [
+    (['friction_asymmetry:joint2'] * 2, 'is named twice'),
+    ([f'friction_asymmetry:joint{k}' for k in (1, 2)] + [
+        f'constant_link_torque:joint{k}' for k in (1, 2)] + ['backlash:joint1'],
+     'at most 4 are separated')])
+def test_explanations_that_cannot_be_separated_are_refused(effects, sentence, forward_only,
+                                                           robot, tmp_path, capsys):
+    write_recording(tmp_path / 'bag', forward_only[1], robot.motors)
+    (tmp_path / 'report.json').write_text(json.dumps({
         'sources': [str(tmp_path / 'bag')], 'credible': [], 'findings': [], 'minor': []}))
-    arguments = ['next', tmp_path / 'gap', '--robot', CONFIG / 'robot.yaml', '--limits',
-                 CONFIG / 'bridge.yaml', '--effects', 'constant_link_torque:joint2',
-                 'friction_asymmetry:joint2', '--simulate', tmp_path / 'true.yaml', '--budget',
-                 '30', '--out', tmp_path / 'rounds']
-    repeated = [*arguments[:8], *[arguments[8]] * 2, *arguments[9:]]
-    for wrong, sentence in ((repeated, 'is named twice'), (
-            [*arguments[:8], *[arguments[8]] * 4, *arguments[9:]], 'at most 4 are separated')):
-        assert main(list(map(str, wrong))) == 2
-        assert sentence in capsys.readouterr().err
-    assert main(list(map(str, arguments))) == 0
-    values = json.loads((tmp_path / 'rounds' / 'separation.json').read_text())
-    assert values['left'] == ['constant_link_torque of joint2']
-    assert 0.0 < values['robot_time'] <= 30.0
-    assert values['robot_time'] == sum(one['best']['duration'] for one in values['rounds'])
-    known = conditions_of(tmp_path / 'rounds' / '1' / 'bag')
-    assert known.operation.temperature == 'warm' and known.torque_constant is None
-    printed = capsys.readouterr().out
-    assert 'is left, with a probability of' in printed
-    assert f' {tmp_path / "rounds" / "1" / "bag"} ' in printed  # in the next command
-    assert main(list(map(str, arguments))) == 2
-    assert 'has recordings of an earlier run' in capsys.readouterr().err
+    assert main(list(map(str, [
+        'next', tmp_path, '--robot', CONFIG / 'robot.yaml', '--limits', CONFIG / 'bridge.yaml',
+        '--out', tmp_path / 'plan', '--effects', *effects]))) == 2
+    assert sentence in capsys.readouterr().err
 
 
 def test_what_predicts_the_same_ends_as_inseparable_and_no_budget_as_spent(
