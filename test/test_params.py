@@ -8,6 +8,7 @@ import json
 import re
 
 from gms_flex_control.cli.main import main
+from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import GmsFlexError, ParameterError
 from gms_flex_control.identification.output import report_json
 from gms_flex_control.params.arm import ArmParams, in_units
@@ -121,7 +122,8 @@ def test_units_of_linear_axes(robot, rotary, written):
 
 
 @pytest.mark.parametrize(('changes', 'sentence'), [
-    ({'gravity': 9.81}, 'the weight on a linear axis as effects.<joint>.constant_link_torque'),
+    ({'gravity': 9.81}, 'the weight on a linear axis as the effect '
+     f'"{find("constant_link_torque").words.partition(",")[0]}"'),
     ({'inertia': [0.0, 0.0], 'com': [0.0, 0.0]}, r'needs inertia, the mass that moves \[kg\]')])
 def test_what_moves_a_linear_axis_is_asked_for(robot, changes, sentence):
     with pytest.raises(ParameterError, match=sentence):

@@ -117,7 +117,8 @@ class ArmParams:
         freeze_arrays(self, skip=('kind', 'axes', 'frames'))
         if self.axes == 'linear' and self.gravity.any():
             raise ParameterError('arm.gravity goes with joints that turn: give the weight on a '
-                                 'linear axis as effects.<joint>.constant_link_torque.bias [N]')
+                                 'linear axis as the effect "Constant torque on the link" [N], '
+                                 'see gms_flex effects')
         if self.gravity.shape == ():
             object.__setattr__(self, 'gravity', np.array([0.0, -float(self.gravity)]))
         n, space = self.stiffness.shape, () if self.frames is None else (3,)
