@@ -9,7 +9,6 @@ import json
 from bench.__main__ import main
 from bench.real_machines import least_squares, library, table
 from bench.real_machines.least_squares import Part
-from bench.real_machines.machines import BAND as EIGHT
 from bench.real_machines.machines import MACHINES, shared_data, VARIABLE
 from bench.real_machines.motion import low_pass, Motion, motion_of, residual_torque, rms
 from bench.real_machines.split import identified, model_rms, Outcome, parts_of
@@ -152,7 +151,8 @@ def test_half_of_emps_names_no_limit_that_its_peaks_resemble():
     robot, _ = identified(machine, fitted)
     result = find_discrepancy(fitted, robot)
     assert 'actuator_saturation' not in {spec.name for spec in result.robot.effects}
-    assert model_rms(pulses, result.robot, EIGHT) < model_rms(pulses, robot, EIGHT)
+    band = machine.bands[0]
+    assert model_rms(pulses, result.robot, band) < model_rms(pulses, robot, band)
 
 
 @pytest.mark.parametrize('name', list(MACHINES))

@@ -206,8 +206,8 @@ class FreeFunctions:
         """Return a function as a Free; sums are cleared of the noise ``lost`` (R,)."""
         likelihood, level = self._likelihood, self._likelihood.level_of(joint)
         rows = self._rows(joint, equation, triangles)
-        least = normal.beside(rows, 0.0 if noise is None else self._rows(
-            joint, equation, noise) @ lost, pull=1.0 / level ** 2)
+        least = normal.beside(rows, self._noise(joint, equation, noise, rows) @ lost,
+                              pull=1.0 / level ** 2)
         scaled = level * rows
         _, occam = np.linalg.slogdet(np.eye(len(rows)) + (
             scaled * likelihood.weights(least.sums)) @ scaled.T)
@@ -229,6 +229,10 @@ class FreeFunctions:
             rows.append(likelihood.whitened.rows_of(torques))
         return np.array(rows)
 
+    def _noise(self, joint, equation, noise, rows):
+        """Return how ``rows`` (K, R) of a function differ in two null simulations, (K, R)."""
+        return np.zeros_like(rows) if noise is None else self._rows(joint, equation, noise)
+
     def left_in(self, model, columns, caution=1.0) -> 'Free | None':
         """Return the free function that a model lacks, a Free, None where nothing matters."""
         without = None
@@ -239,8 +243,7 @@ class FreeFunctions:
             rows = self._rows(free.joint, free.equation, free.triangles)
             if without is None:
                 without = self._predicted(model, columns, rows[:0], rows[:0])
-            noise = np.zeros_like(rows) if free.noise is None else self._rows(
-                free.joint, free.equation, free.noise)
+            noise = self._noise(free.joint, free.equation, free.noise, rows)
             gain = gain_over(self._predicted(model, columns, rows, noise) - without)
             if gain._replace(sigmas=gain.sigmas / caution).is_real:
                 return free

@@ -14,6 +14,7 @@ low-pass. Of links that are relied on the same fit gives what differs between re
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
@@ -156,7 +157,6 @@ class _Fit:
         self._guess = self._guessed_scales(recordings, np.isinf(doubt))
         self._at.scale[:] = self._guess
         self._last = None  # the _Regression of the last step
-        self._spread = None  # covariance and inverse of the normal matrix, once they are known
 
     def _guessed_scales(self, recordings, unknown):
         """Return the scales (n,) to begin from: of unknown ones, as the URDF's masses have it."""
@@ -295,22 +295,20 @@ class _Fit:
                                 *loads, rows.coupled], axis=2)
         return self._at.scale[:, None] * whole
 
+    @cached_property
     def _covariance(self):
         """
-        Return covariance and inverse of the normal matrix (P, P).
+        Return covariance and inverse of the normal matrix (P, P), of the last step.
 
         How many samples count as one is measured by all base parameters together that are
         determined: noise of encoders counts less than white one, what the model lacks counts
         more. No parameter is said to be better known than that, since few blocks agree by chance.
         """
-        if self._spread is not None:
-            return self._spread
         inverse = inverse_of(self._last.normal)
         scores = block_scores(self._last.pieces, self._last.step, self._last.normal)
         links = self._layout.links if len(self._base.lead) else slice(None)
         memory = memory_of(inverse, self._precision(), scores, links)
-        self._spread = clustered(inverse, scores, memory), inverse
-        return self._spread
+        return clustered(inverse, scores, memory), inverse
 
     def _found_coupled(self):
         """Return the Coupled, None where there is none."""
@@ -319,14 +317,14 @@ class _Fit:
         n, part, shared = len(self._at.scale), self._layout.coupled, self._layout.shared
         friction, spread = np.zeros((2, n, 2))
         friction[shared] = self._at.coupled.reshape(-1, 2)
-        spread[shared] = np.sqrt(np.diag(self._covariance()[0])[part]).reshape(-1, 2)
+        spread[shared] = np.sqrt(np.diag(self._covariance[0])[part]).reshape(-1, 2)
         arm = self._arm if not len(self._base.lead) else self.nearest()
         return Coupled(self._coupling, friction, spread,
                        np.where(self._arm.rigid, arm.motor_inertia, 0.0))
 
     def loads(self) -> dict:
         """Return the FoundLoads by recording."""
-        covariance, found = self._covariance()[0][self._layout.loads, self._layout.loads], {}
+        covariance, found = self._covariance[0][self._layout.loads, self._layout.loads], {}
         for k, r in enumerate(self._layout.unknown):
             own = covariance[10 * k:10 * k + 4, 10 * k:10 * k + 4]
             mass, *moment = self._at.loads[r, :4]
@@ -346,7 +344,7 @@ class _Fit:
     def nearest(self) -> ArmParams:
         """Return the arm nearest to the URDF that has the base parameters."""
         links = self._layout.links
-        covariance, inverse = (one[links, links] for one in self._covariance())
+        covariance, inverse = (one[links, links] for one in self._covariance)
         normal = self._last.normal
         normal = normal if links.stop == len(normal) else inverse_of(inverse)
         return nearest_arm(self._robot.arm, self._arm, self._base.combination, self._at.links,
@@ -366,13 +364,13 @@ class _Fit:
             tuple((UNITS * n)[k] if k < 10 * n else 'kg m^2' for k in self._base.lead),
             tuple(meaning_of(row, names) for row in self._base.combination), self._at.links,
             self._base.combination @ all_parameters(self._arm),
-            self._covariance()[0][links, links],
+            self._covariance[0][links, links],
             float(np.sqrt(np.linalg.cond(own * np.outer(size, size)))), offset, found,
             self.differences())
 
     def differences(self) -> Differences:
         """Return the Differences of the recordings."""
-        n, error = len(self._at.scale), np.sqrt(np.diag(self._covariance()[0]))
+        n, error = len(self._at.scale), np.sqrt(np.diag(self._covariance[0]))
         scale_sd, zero_sd = np.zeros(n), np.zeros(self._at.zeros.shape)
         scale_sd[self._layout.free] = error[self._layout.scales]
         zero_sd[1:] = error[self._layout.zeros].reshape(zero_sd[1:].shape)

@@ -21,6 +21,7 @@ from gms_flex_control.identification.segments import filled, segments_of, torque
 from gms_flex_control.params.arm import carrying
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import lfilter
 
 _THINNING = 8       # samples of a smoothing window that are enough
 _STEP = 1e-5        # of a zero, for slopes [rad]
@@ -160,10 +161,10 @@ def _turning(angle, rate, usual, period):
     Presliding is that of blocks which slip after given ways, as strong as one likes (Maxwell
     slip), so that a joint may turn again before all of them slip; friction at low speed is late.
     """
-    slips, late = np.empty((len(rate), len(_SLIPS))), np.empty((len(rate), len(_LOW)))
+    slips, kept = np.empty((len(rate), len(_SLIPS))), np.exp(-period / _LAG)
     _slip(angle, usual * np.array(_SLIPS), slips)
     low = np.sign(rate)[:, None] * np.exp(-(rate[:, None] / (usual * np.array(_LOW))) ** 2)
-    _delay(low, np.exp(-period / _LAG), late)
+    late, _ = lfilter([1.0 - kept], [1.0, -kept], low, axis=0, zi=kept * low[:1])
     return np.concatenate([slips, late], axis=1)
 
 
@@ -175,15 +176,6 @@ def _slip(angle, ways, out) -> None:
         for i in range(1, angle.shape[0]):
             at = out[i - 1, k] + (angle[i] - angle[i - 1]) / ways[k]
             out[i, k] = min(max(at, -1.0), 1.0)
-
-
-@compiled
-def _delay(values, kept, out) -> None:
-    """Write ``values`` (S, K) behind a first-order lag into ``out``, ``kept`` of each sample."""
-    for k in range(values.shape[1]):
-        out[0, k] = values[0, k]
-        for i in range(1, values.shape[0]):
-            out[i, k] = kept * out[i - 1, k] + (1.0 - kept) * values[i, k]
 
 
 def _differences(segment, every, period):

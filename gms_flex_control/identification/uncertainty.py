@@ -164,8 +164,7 @@ def root_of_inverse(curvature: np.ndarray) -> np.ndarray:
     """Return the (P, P) whose product with its transpose is `inverse_of`."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     values, vectors = np.linalg.eigh(curvature * np.outer(scale, scale))
-    half = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    return half
+    return scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
 
 
 def estimates_of(joint: str, coordinates: Coordinates, free: np.ndarray, spread: Spread,
