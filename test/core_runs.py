@@ -15,6 +15,8 @@ from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
 
+BLOCKS = 8  # of every single axis: kernels are compiled anew for another number
+
 
 def scaled_friction(friction, ratio):
     """Return friction whose torques are all ``ratio`` times as large at every motion."""
@@ -28,12 +30,19 @@ def model_with_error(robot, *, friction=1.0, stiffness=1.0, inertia=1.0):
     return replace(robot, arm=arm, friction=scaled_friction(robot.friction, friction))
 
 
+def padded(friction):
+    """Return friction with as many blocks as a fit has, the further ones carrying nothing."""
+    none = ((0, 0), (0, BLOCKS - friction.stiffness.shape[1]))
+    return replace(friction, stiffness=np.pad(friction.stiffness, none),
+                   weight=np.pad(friction.weight, none))
+
+
 def single_axis(friction, inertia, *, stiffness=np.inf, motor_inertia=0.0, **options):
-    """Return a robot of one axis; rigid unless a stiffness is given."""
+    """Return a robot of one axis, its friction `padded`; rigid unless a stiffness is given."""
     arm = ArmParams(kind='decoupled', mass=[0.0], length=[0.0], com=[0.0], inertia=[inertia],
                     motor_inertia=[motor_inertia], stiffness=[stiffness], damping=[0.0])
     motor = '' if np.isinf(stiffness) else 'axis_motor'
-    return RobotParams(joints=('axis',), motors=(motor,), arm=arm, friction=friction,
+    return RobotParams(joints=('axis',), motors=(motor,), arm=arm, friction=padded(friction),
                        encoder=EncoderParams(), **options)
 
 

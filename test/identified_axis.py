@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 from bench.identification_simulated import simulate_identification
+from core_runs import padded
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.params.arm import ArmParams
@@ -41,8 +42,8 @@ def axis(*, rigid=False, yields=tuple(YIELDS)):
                               weight=np.full((1, 4), 0.25),
                               stiffness=0.25 * STATIC / np.array([yields]))
     return RobotParams(joints=(JOINT,), motors=('' if rigid else f'{JOINT}_motor',), arm=arm,
-                       friction=friction, encoder=EncoderParams(counts=20000.0,
-                                                                velocity_cutoff=50.0))
+                       friction=padded(friction),
+                       encoder=EncoderParams(counts=20000.0, velocity_cutoff=50.0))
 
 
 @cache

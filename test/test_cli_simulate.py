@@ -91,13 +91,6 @@ def test_several_motions_and_modes_make_a_bag_each(simulate, tmp_path):
         assert np.mean(error ** 2, axis=0).tolist() == pytest.approx(result['mse'])
 
 
-def test_a_polynomial_ends_by_itself(simulate, tmp_path):
-    short = parameters(tmp_path / 'short.yaml',
-                       'trajectory: {type: polynomial, move_time: 0.3, hold_time: 0.1}')
-    assert simulate('--trajectory', short)[0] == 0
-    assert len(read_recording(tmp_path / 'bag').time) == round(500 * (3 * 0.1 + 2 * 0.3))
-
-
 def test_an_identified_friction_completes_the_robot(simulate, tmp_path):
     """Later files win, for plant and model; as with a single file that holds both."""
     friction = parameters(tmp_path / 'friction.yaml', 'friction: {joint1: {forward: '
@@ -136,10 +129,3 @@ def test_motor_names_may_be_left_out_of_a_rigid_robot(tmp_path):
     plans = [read_plan([tmp_path / name, CONTROLLER, CONFIG / 'sinusoid.yaml'], duration=0.2)
              for name in ('named.yaml', 'bare.yaml')]
     assert all(np.all(plan.robot.arm.rigid) for plan in plans)
-
-
-def test_a_motion_without_end_lasts_20_s_unless_a_duration_is_given():
-    files = [ROBOT, CONTROLLER, CONFIG / 'sinusoid.yaml']
-    assert read_plan(files).duration == 20.0
-    assert read_plan(files, overrides={'duration': 3.0}).duration == 3.0
-    assert read_plan(files, duration=1.0, overrides={'duration': 3.0}).duration == 1.0

@@ -8,7 +8,6 @@ import json
 import re
 
 from core_runs import model_with_error
-from gms_flex_control.batches import open_executor, run_batch
 from gms_flex_control.cli.main import main
 from gms_flex_control.comparison import prediction, study
 from gms_flex_control.comparison.prediction import along, predicted
@@ -21,7 +20,6 @@ from gms_flex_control.experiment.simulated import (
     to_recording,
 )
 from gms_flex_control.file_io import controller_file, robot_file, share_path
-from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.schema.build import robot_values
@@ -47,10 +45,6 @@ def only():
 
 def setting_of(arm, draws=0):
     return study.Setting(*arm, np.ones(2), 500.0, draws, 0)
-
-
-def test_every_mode_of_the_controller_is_compared():
-    assert sorted(CONTESTANTS) == sorted(COMPENSATIONS)
 
 
 def test_conditions_change_what_they_name(arm):
@@ -95,18 +89,13 @@ def test_the_table_is_what_the_cells_say(arm):
     assert line.split()[2:6] == ['1.41', '1.41', '2', '1.41']
 
 
-def test_a_cell_is_the_simulation_it_names_wherever_it_is_worked_on(arm):
-    setting = setting_of(arm)
-    keys = ['gms | friction +30 %', 'none | 200 Hz']
-    items = {key: study.cells(setting)[key] for key in keys}
-    with open_executor(workers=2) as executor:
-        found = run_batch(study.try_cell, items, executor=executor)
-    assert found == {key: study.try_cell(item) for key, item in items.items()}
+def test_a_cell_is_the_simulation_it_names(arm):
+    found = study.try_cell(study.cells(setting_of(arm))['gms | friction +30 %'])
     plant = model_with_error(arm[0], friction=1.3)
     plant = replace(plant, friction=replace(plant.friction, attraction=arm[0].friction.attraction))
     run = loop.run(plant, *arm, builders.sinusoid(np.ones(2), 6.0), duration=20.0)
     mse = np.mean((run.true[:, 0] - run.reference[:, 0]) ** 2, axis=0)
-    np.testing.assert_allclose(found[keys[0]]['sinusoid']['mse'], mse, rtol=1e-9)
+    np.testing.assert_allclose(found['sinusoid']['mse'], mse, rtol=1e-9)
 
 
 def test_a_robot_that_runs_away_is_lost_and_not_a_number(arm):
@@ -203,7 +192,7 @@ def test_compare_fits_along_a_bag(plan, tmp_path, capsys, only, monkeypatch):
     assert 'Torque over time' in (tmp_path / 'out' / 'report.html').read_text()
 
 
-def test_the_robot_as_identified_is_the_plant_wherever_it_is_named(arm, tmp_path, only, capsys):
+def test_the_robot_as_identified_is_the_plant(arm, tmp_path, only, capsys):
     """As `gms_flex identify` writes it: a file beside that of the robot, the later one winning."""
     only('none')
     twice = tmp_path / 'friction.yaml'
@@ -211,9 +200,9 @@ def test_the_robot_as_identified_is_the_plant_wherever_it_is_named(arm, tmp_path
               if name.startswith('friction.') and name.endswith(('.static', '.coulomb'))}
     save_values(values, twice)
     files, told = [str(robot_file()), str(twice)], []
-    for k, place in enumerate(([], files, ['--robot', *files])):
+    for k, place in enumerate(([], ['--robot', *files])):
         assert main(['compare', *place, '--draws', '0', '--workers', '1', '--json', '--out',
                      str(tmp_path / str(k))]) == 0
         told.append(json.loads(capsys.readouterr().out)['rows'][0]['errors']['nominal'])
-    assert told[1] == told[2] > 1.5 * told[0]
+    assert told[1] > 1.5 * told[0]
     assert str(twice) in (tmp_path / '1' / 'report.html').read_text()

@@ -7,9 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 import re
 
-from core_runs import model_with_error, single_axis
+from core_runs import model_with_error
 from gms_flex_control.control import cascade
-from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.simulation import encoder, loop, plant
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -78,7 +77,7 @@ class IdealLoop:
         return torque, dq_err + self.gains.lambda_motor * q_err
 
 
-TIMES = [0.7, 1.6, 3.1, 4.55, 5.2]  # speeding up, reversal, full speed, near the second reversal
+TIMES = [0.7, 1.6, 4.55]  # speeding up, reversal, near the second one
 
 
 @pytest.mark.parametrize('mode', ['none', 'gms_paper'])
@@ -213,12 +212,3 @@ def test_one_flexible_and_one_rigid_joint_run_together(ideal_robot, gains):
                     arm=replace(ideal_robot.arm, stiffness=[np.inf, 1.5]))
     run = loop.run(mixed, mixed, with_mode(gains, 'gms'), SINUSOID, duration=10.0)
     assert np.all(mean_square(run) < 1e-4)
-
-
-def test_a_single_axis_is_controlled(ideal_robot, gains):
-    axis = single_axis(ideal_robot.friction.of_joints([0]), 0.3, stiffness=1.5,
-                       motor_inertia=0.006)
-    one = ControllerParams(compensation='gms', **{
-        name: getattr(gains, name)[[0]] for name in vars(gains) if name != 'compensation'})
-    run = loop.run(axis, axis, one, builders.sinusoid([1.0], 6.0), duration=12.0)
-    assert mean_square(run)[0] < 2e-6

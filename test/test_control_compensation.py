@@ -73,8 +73,8 @@ def test_gms_of_the_desired_motion_is_friction_replayed_along_the_reference(arm)
 
 def test_the_disturbance_observer_finds_a_torque_that_its_model_lacks():
     nothing = StribeckParams(static=[1e-12], coulomb=[1e-12], velocity=[0.01], viscous=[0.0])
-    friction = FrictionParams(forward=nothing, backward=nothing, stiffness=[[0.0] * 6],
-                              weight=[[1.0 / 6.0] * 6], attraction=[1.0])
+    friction = FrictionParams(forward=nothing, backward=nothing, stiffness=[[0.0]],
+                              weight=[[1.0]], attraction=[1.0])
     robot = single_axis(friction, 0.3, stiffness=5.0, motor_inertia=0.01)
     pushed = replace(robot, effects=(EffectSpec(
         name='constant_link_torque', joint='axis', values=(0.07,)),))

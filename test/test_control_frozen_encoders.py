@@ -12,7 +12,6 @@ from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.control.frozen_encoders import (
     EncoderWatch,
     FrozenEncoders,
-    torque_thresholds,
 )
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.simulation import loop
@@ -75,16 +74,6 @@ def test_a_rate_reveals_a_frozen_link_after_20_mrad(robot, gains, rate, dt):
     assert said.endswith('0.02 rad: the encoder is frozen')
 
 
-def test_no_rate_is_so_high_that_30_ms_are_not_waited_for(judge):
-    time, _ = time_to(judge, state(dq_link=(0.0, 50.0)))
-    assert time == pytest.approx(frozen.STANDING, abs=DT)
-
-
-def test_several_are_reported_together(judge):
-    _, said = time_to(judge, state(dq_link=(9.0, 9.0), dq_motor=(0.0, 9.0)))
-    assert said.startswith('joint1 has been') and said.endswith('; so are joint2, joint2_motor')
-
-
 def test_noise_and_outliers_of_the_rate_are_no_sign_of_a_frozen_encoder(judge):
     rng = np.random.default_rng(1)
 
@@ -121,27 +110,6 @@ def test_a_motor_that_gets_nothing_is_not_expected_to_move(judge):
     rest(judge, (-0.8, 0.9))
 
 
-def test_thresholds_come_from_spring_limit_and_friction(robot, gains):
-    limit, arm = gains.torque_limit, robot.arm
-    assert torque_thresholds(robot, limit) == pytest.approx(0.5 * limit)
-    stiff = replace(robot, arm=replace(arm, stiffness=np.array([1e3, np.inf])),
-                    motors=('joint1_motor', ''))
-    assert list(torque_thresholds(stiff, limit)) == [5.0, np.inf]
-    assert torque_thresholds(robot, 0.1 * limit) == pytest.approx([3 * 0.10787, 3 * 0.10697])
-    sticky = replace(robot, effects=TORQUES)
-    assert torque_thresholds(sticky, limit) == pytest.approx([3 * 0.40787, 3 * 0.40697])
-
-
-def test_a_heavy_motor_has_more_time(robot, gains):
-    heavy = replace(robot, arm=replace(robot.arm, motor_inertia=np.array([3.0, 0.005])))
-    times = []
-    for model in (robot, heavy):
-        judge = begun(model, gains)
-        rest(judge)
-        times.append(time_to(judge, state(), (1.5, 0.0))[0])
-    assert times[0] < 0.06 and times[1] > 0.3
-
-
 # what follows ------------------------------------------------------------------------------------
 
 
@@ -152,14 +120,6 @@ def test_it_stays_frozen_until_the_angle_changes(judge):
         assert judge.look(state(), np.zeros(2), DT)
     assert judge.look(state(), np.zeros(2), 0.2) and judge.look(state(), np.zeros(2), -9.0)
     assert judge.look(state(q_link=(0.1000001, 0.2)), np.zeros(2), DT) is None
-
-
-def test_a_reset_takes_it_back_and_looks_anew(judge):
-    stuck = state(dq_link=(0.5, 0.0))
-    first = time_to(judge, stuck)
-    judge.reset()
-    assert judge.look(stuck, np.zeros(2), DT) is None
-    assert time_to(judge, stuck)[0] == pytest.approx(first[0], abs=2 * DT)
 
 
 @pytest.mark.parametrize('gap', [0.0, -1.0, 0.0301, 1e3])

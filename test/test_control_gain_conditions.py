@@ -45,7 +45,7 @@ def test_stiffness_above_twice_kd_breaks_39_but_not_the_exact_condition(gains, r
     assert gain_conditions.check(gains, stiff).alpha.min() > 0
 
 
-@pytest.mark.parametrize('seed', range(20))
+@pytest.mark.parametrize('seed', range(8))
 def test_the_exact_condition_is_the_sign_of_the_smallest_eigenvalue(gains, robot, seed):
     rng = np.random.default_rng(seed)
     gains = replace(gains, **{name: rng.uniform(0.05, 2.0, 2) for name in (
@@ -58,7 +58,7 @@ def test_the_exact_condition_is_the_sign_of_the_smallest_eigenvalue(gains, robot
         assert np.isfinite(report.residual) == positive
 
 
-@pytest.mark.parametrize('seed', range(20))
+@pytest.mark.parametrize('seed', range(8))
 def test_all_gershgorin_rows_imply_a_positive_definite_matrix(gains, robot, seed):
     """Also for Lambda_1 < 1, where the two printed rows alone do not make the discs positive."""
     rng = np.random.default_rng(seed)

@@ -80,11 +80,6 @@ def test_without_a_reference_the_sentence_says_what_to_record(recording):
         stretch_of(replace(recording, reference=np.full_like(recording.reference, np.nan)))
 
 
-def test_without_link_angles_nothing_is_asked_of_the_reference(recording):
-    with pytest.raises(BagError, match='bag: does not have the angles of all links'):
-        stretch_of(replace(recording, q_link=np.full_like(recording.q_link, np.nan)))
-
-
 def test_drives_have_the_voltage_that_was_recorded(recording, ideal_robot, gains):
     """One that falls by 5 V, with a twentieth of the torque a volt."""
     sag = EffectSpec(name='supply_sag', joint='joint1', values=(0.05, 24.0))

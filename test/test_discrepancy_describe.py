@@ -8,11 +8,7 @@ from types import SimpleNamespace
 
 from discrepancy_runs import as_believed, driven_motion
 from gms_flex_control.discrepancy.describe import (
-    _verdict,
     evidence_of,
-    first_of,
-    of_noise,
-    of_not_added,
     torque_scale,
 )
 from gms_flex_control.discrepancy.likelihood import Likelihood
@@ -21,9 +17,8 @@ from gms_flex_control.discrepancy.remainder import (
     predicted_share,
     signature_of,
 )
-from gms_flex_control.discrepancy.result import Discrepancy, FOUND, Noise, Signature
+from gms_flex_control.discrepancy.result import Signature
 from gms_flex_control.discrepancy.validation import Gain
-from gms_flex_control.discrepancy.workflow import _known_off
 from gms_flex_control.discrepancy.worth import Worth
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
@@ -35,46 +30,6 @@ import pytest
 def test_torques_are_told_in_units_that_suit(size, said):
     scale = torque_scale([size, 0.001])
     assert f'{scale.text(size)} {scale.unit}' == said
-
-
-def test_of_many_texts_the_first_are_said():
-    assert first_of(['one', 'two.'], 2) == 'one. two.'
-    assert first_of(['one', 'two', 'three'], 1) == 'one. (2 more in the report.)'
-
-
-def test_noise_is_told_by_drive_and_colour():
-    said = of_noise(Noise('j', 'motor', 0.0123, 0.004, 'white'))
-    assert said == 'drive of j: 12.3 mN m per sample, 4 mN m rms up to 8 Hz, white'
-    assert of_noise(Noise('j', 'link', 0.0, 4000.0, 'slow')) == (
-        'link of j: 4 kN m rms up to 8 Hz, mostly slow')
-
-
-@pytest.mark.parametrize(('written', 'expected'), [
-    ('jkl', ''), ('jk', 'no model with it predicts everything as well: it is named'),
-    ('j', 'no model with them predicts everything as well: they are named')])
-def test_what_matters_and_is_not_in_the_model_is_said(written, expected):
-    robot = SimpleNamespace(effects=[EffectSpec(name='backlash', joint=joint, values=(0.01,))
-                                     for joint in written])
-    result = Discrepancy(verdict=FOUND, robot=robot, findings=tuple(
-        SimpleNamespace(effect='backlash', joint=joint, key=('backlash', joint), values=())
-        for joint in 'jkl'))
-    assert [one.joint for one in result.added] == list(written)
-    said = of_not_added(result)
-    assert expected in said and bool(expected) == bool(said)
-    assert [f'backlash of {joint}' in said for joint in 'jkl'] == [
-        joint not in written for joint in 'jkl']
-
-
-def test_what_matters_is_said_to_be_lacking_however_much_there_is():
-    """Only what is small is said to be small."""
-    found = [SimpleNamespace(effect='backlash', joint=joint, key=('backlash', joint), values=(),
-                             indistinguishable_from=()) for joint in 'abcdefgh']
-    robot = SimpleNamespace(effects=[EffectSpec(name='backlash', joint=one.joint, values=(0.01,))
-                                     for one in found])
-    said = [text for text, _ in _verdict(Discrepancy(
-        verdict=FOUND, robot=robot, findings=tuple(found[:7]), minor=tuple(found[7:])))]
-    assert said[1:] == ['The model also lacks backlash of f, backlash of g.',
-                        'Too small to matter in practice: backlash of h.']
 
 
 @pytest.mark.parametrize(('variable', 'joint', 'expected'), [
@@ -93,18 +48,6 @@ def test_an_effect_that_changes_nothing_that_is_fitted_is_none():
     assert not idle._replace(evidence=1.0, gain=Gain(50.0, 5.0, 10)).is_real()
     assert idle._replace(gain=Gain(50.0, 5.0, 10)).is_real()
     assert not idle._replace(gain=Gain(50.0, 5.0, 10)).is_real(caution=3.0)
-
-
-def test_a_known_effect_that_gains_by_chance_alone_is_not_told():
-    """It must gain most of all, and much."""
-    spec, other = (EffectSpec(name=name, joint='joint1', values=(0.01,))
-                   for name in ('backlash', 'spring_cubic'))
-    robot = SimpleNamespace(effects=(spec,))
-    for gain, rival, expected in ((20.0, 1.0, False), (80.0, 1.0, True), (80.0, 200.0, False)):
-        scan = {('backlash', 'joint1'): gain, (other.name, other.joint): rival}
-        told = _known_off(SimpleNamespace(scan=scan), robot)
-        assert told == (('backlash', 'joint1') if expected else None)
-    assert _known_off(SimpleNamespace(scan={}), robot) is None
 
 
 def test_what_is_left_is_described_where_most_is_left(robot, gains):

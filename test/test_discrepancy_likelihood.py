@@ -180,20 +180,6 @@ def test_a_fit_ends_with_what_encoder_noise_truly_adds(robot, gains):
     assert other.cost == pytest.approx(found.cost, abs=1.0)
 
 
-def test_noise_of_an_effect_at_its_bound_is_learned_the_other_way(robot, gains):
-    """Blocks can be softened no further than to nothing."""
-    soft = EffectSpec(name='presliding_error', joint=robot.joints[1], values=(-0.75, 0.0))
-    likelihood = Likelihood([driven_motion(robot, gains, duration=8.0)], robot)
-    x = np.zeros(len(likelihood.nuisances))
-    heavy = likelihood.simulated_as(likelihood.fitted(with_effect(robot, soft), x))
-    ends = []
-    for step in (-0.3, 0.3):
-        values = (step, 0.0)
-        heavy.encoder_noise.learn(heavy, replace(soft, values=values), [(0, values)])
-        ends.append(heavy.encoder_noise.of_effect(soft)[0])
-    np.testing.assert_array_equal(*ends)
-
-
 def test_what_sticks_is_measured_by_the_noise_of_what_sticks():
     """A motor that holds by dry friction creeps unseen: the true model misses torque there."""
     case = make_case('single', 45, duration=20.0)

@@ -73,7 +73,7 @@ def uneven_recording(robot, reference, seed):
     driven, now = SteppedPlant(robot, period=TICK, substeps=2, seed=seed), 0
     driven.measure()
     time, angles, commands = [], [], []
-    while now * TICK < 20.0:
+    while now * TICK < 12.0:
         time.append(now * TICK)
         q_motor, rate = driven.measured.q_motor.copy(), driven.state.dq_motor
         angles.append((driven.measured.q_link.copy(), q_motor))

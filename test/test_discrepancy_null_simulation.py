@@ -54,10 +54,10 @@ def test_a_rigid_axis_is_held_on_its_motion_wherever_its_inertia_stands(inertia)
     assert np.abs(again.samples.readings - motion.samples.readings).max() < 1e-3
 
 
-@pytest.mark.parametrize(('seed', 'gravity'), [(7, True), (10, True), (10, False)])
+@pytest.mark.parametrize(('seed', 'gravity'), [(7, True), (10, False)])
 def test_a_null_simulation_stands_where_the_recording_stood(seed, gravity):
     """Under a weight that makes it fall otherwise, and where a soft spring would let it creep."""
-    case = make_case('clean', seed, gravity=gravity, duration=40.0)
+    case = make_case('clean', seed, gravity=gravity, duration=20.0)
     motion, robot = motion_of(case.recording, case.truth.robot), case.truth.robot
     again = null_simulation(motion, plant.constants_of(case.nominal), np.random.default_rng(0))
     assert np.abs(again.states - motion.states)[:, [0, 3]].max() < 0.02

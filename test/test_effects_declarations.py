@@ -67,21 +67,6 @@ def test_sizes_an_effect_is_looked_for_with_follow_the_machine(name):
         assert (small is None and big is None) or big == pytest.approx(factor * small)
 
 
-def test_parameters_that_are_looked_for_in_part_of_their_bounds(ideal_robot):
-    """Ratios from -0.8 on, waves from the slowest order, viscous friction until none is left."""
-    def bounds(name, joint=1):
-        return registry.find(name).search_bounds(joint, ideal_robot)
-    assert bounds('stiffness_error') == ([-0.8], [np.inf])
-    assert bounds('friction_asymmetry') == ([-0.8], [0.8])
-    assert bounds('position_friction') == ([-0.8, 0.7, -np.inf], [0.8, np.inf, np.inf])
-    assert bounds('torque_ripple')[0][1] == 1.5
-    assert bounds('presliding_error')[0][0] == -0.95
-    sides = ideal_robot.friction.forward, ideal_robot.friction.backward
-    assert bounds('viscous_error')[0] == [-max(one.viscous[1] for one in sides)]
-    assert registry.find('torque_gain').excludes(True) == ('link_inertia_error',
-                                                           'motor_inertia_error')
-
-
 MODULE = """
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import linear

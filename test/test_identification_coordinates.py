@@ -5,9 +5,7 @@
 
 from gms_flex_control.identification.coordinates import (
     Coordinates,
-    equal_blocks,
     MOST_BLOCKS,
-    N_STEADY,
     presliding_curve,
     yield_quantiles,
 )
@@ -92,18 +90,3 @@ def test_equal_blocks_keep_the_yields_of_equal_blocks(n_blocks):
     coordinates = Coordinates(n_blocks)
     theta, _ = coordinates.unpack(coordinates.pack(**STEADY, yields=yields))
     np.testing.assert_allclose(yield_quantiles(theta, n_blocks), yields[::-1], rtol=1e-12)
-
-
-def test_more_equal_blocks_come_nearer_to_a_curve():
-    """The curve of unequal blocks, as a part of F_s at any displacement."""
-    coordinates, free = packed('fixed yields and free weights')
-    theta, _ = coordinates.unpack(free)
-    at = np.geomspace(1e-5, 0.1, 200)
-    off = []
-    for n_blocks in (1, 2, 4, 8):
-        again, numbers = equal_blocks(theta, n_blocks, 0)
-        found, _ = again.unpack(numbers)
-        np.testing.assert_allclose(found[:N_STEADY], theta[:N_STEADY], rtol=1e-12)
-        curve = presliding_curve(found, at)
-        off.append(np.abs(curve - presliding_curve(theta, at)).max() / 0.106)
-    assert np.all(np.diff(off) < 0.0) and off[-1] < 0.06, off

@@ -10,8 +10,6 @@ from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.identification.outcome import (
     Estimate,
     Interval,
-    joint_sentences,
-    notes,
     standing,
 )
 from gms_flex_control.identification.output import (
@@ -94,18 +92,6 @@ def test_a_joint_taken_as_rigid_keeps_its_motor_and_spring(tmp_path):
     np.testing.assert_array_equal(robot.arm.stiffness, [1.5, 1.5])
 
 
-def test_friction_yaml_begins_with_where_its_numbers_come_from(tmp_path):
-    made = identification(sources=('a bag\nwith: a break',))
-    write_friction(made, tmp_path / 'friction.yaml')
-    lines = (tmp_path / 'friction.yaml').read_text('utf-8').split('/**:')[0].splitlines()
-    comment = ' '.join(line.lstrip('# ') for line in lines)
-    assert all(line.startswith('#') and len(line) < 100 for line in lines)
-    for part in ('a bag with: a break', '2026-03-01 14:05 UTC', '412.5 s',
-                 '3 samples were lost', 'stiffness[0]: NOT IDENTIFIABLE, AT BOUND',
-                 'Coulomb + viscous alone 12 %'):
-        assert part in comment
-
-
 def test_report_json_is_strictly_valid_and_complete(tmp_path):
     made = edited(identification(), held_out=ERRORS._replace(
         repeatability=np.nan, free_run_rms=np.inf, torque_rms=np.float32(0.5)))
@@ -138,29 +124,3 @@ def test_report_json_is_strictly_valid_and_complete(tmp_path):
     (estimate(0.95, 1.05, value=np.nan), 'not identifiable')])
 def test_how_far_a_number_can_be_trusted(made, expected):
     assert standing(made) == expected
-
-
-def test_notes_alike_are_one_sentence_that_names_its_parameters():
-    result = identification(1).joints[0]
-    alike = [each._replace(note='too slow') if 'stiffness[' in each.name or 'static' in each.name
-             else each for each in result.estimates]
-    assert notes(replace(result, estimates=tuple(alike))) == [
-        'forward.static, backward.static, stiffness[0..5]: too slow.']
-
-
-def told(**changes):
-    """Return warnings and other sentences on a joint with changed held-out errors."""
-    result = identification(1).joints[0]
-    lines = joint_sentences(replace(result, held_out=ERRORS._replace(**changes)))
-    return (' '.join(text for text, warns in lines if warns == kind) for kind in (True, False))
-
-
-def test_the_words_follow_the_errors():
-    warnings, rest = told()
-    assert not warnings and 'as good as these data allow' in rest and '5 %' in rest
-    assert 'stiffness[0..5], weight[0..5]' in rest
-    assert 'too quick for these samples' in ' '.join(told(repeatability=0.001, noise_floor=1e-4))
-    assert 'repeatability is not known' in ' '.join(told(repeatability=np.nan))
-    assert 'no better than Coulomb' in next(told(coulomb_viscous=0.04))
-    assert 'trust none of these numbers' in next(told(relative=0.7))
-    assert 'no held-out error' in next(told(relative=np.nan))

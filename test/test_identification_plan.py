@@ -137,13 +137,6 @@ def test_what_is_finished_is_left_out_and_the_rest_is_approached():
     assert plan.steps(finished=names) == ()
 
 
-def test_the_default_experiment_takes_five_to_ten_minutes_a_joint():
-    plan = planned()
-    for joint in plan.joints:
-        total = sum(step.duration_estimate for step in plan.steps() if step.joint == joint)
-        assert 300 < total < 600
-
-
 def test_gravity_is_held_by_a_bias():
     arm = replace(ROBOT.arm, gravity=np.array([0.0, -9.81]))
     heavy = replace(ROBOT, arm=arm)
@@ -180,8 +173,3 @@ def test_gravity_is_held_by_a_bias():
 def test_a_step_that_cannot_keep_a_limit_is_refused_before_anything_moves(overrides, sentence):
     with pytest.raises(ConfigError, match=sentence):
         planned(**overrides)
-
-
-def test_the_fingerprint_tells_plans_apart():
-    assert planned().fingerprint() == planned().fingerprint()
-    assert planned().fingerprint() != planned(modulation=0.6).fingerprint()

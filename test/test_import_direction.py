@@ -4,8 +4,7 @@
 """Imports point one way, ROS stays under nodes/, the bench outside, effects in their files."""
 
 import ast
-from graphlib import CycleError, TopologicalSorter
-import html
+from graphlib import TopologicalSorter
 from importlib import util
 from pathlib import Path
 import re
@@ -107,13 +106,6 @@ def test_no_module_imports_itself_by_way_of_others():
                        for module, path in MODULES.items()}).prepare()
 
 
-def test_a_cycle_is_found():
-    assert modules_imported('def f():\n    from gms_flex_control.cli.demo import plan_of',
-                            'experiment/simulated.py') == {'cli/demo.py'}
-    with pytest.raises(CycleError):
-        TopologicalSorter({'a.py': {'b.py'}, 'b.py': {'a.py'}}).prepare()
-
-
 @pytest.mark.parametrize(('module', 'source', 'complaint'), [
     ('friction/gms.py', 'from gms_flex_control.simulation import plant', 'above friction'),
     ('friction/gms.py', 'from gms_flex_control import simulation', 'above friction'),
@@ -128,17 +120,6 @@ def test_a_cycle_is_found():
 ])
 def test_a_forbidden_import_is_found(module, source, complaint):
     assert any(complaint in line for line in complaints(source, module))
-
-
-@pytest.mark.parametrize(('module', 'source'), [
-    ('simulation/plant.py', 'from gms_flex_control.friction.gms import step'),
-    ('simulation/plant.py', 'from .encoder import Encoder'),
-    ('nodes/recorder.py', 'import rclpy\nfrom gms_flex_control.data.writer import Writer'),
-    ('cli/demo.py', 'def run(args):\n    from gms_flex_control.nodes import ros'),
-    ('cli/main.py', 'from gms_flex_control import __version__'),
-])
-def test_an_allowed_import_passes(module, source):
-    assert complaints(source, module) == []
 
 
 # a nuisance parameter that an effect of equal name replaces; what MuJoCo has for each effect;
@@ -179,16 +160,11 @@ def test_a_name_of_an_effect_is_found():
     assert not set(effects_named(source))
 
 
-def test_the_drawing_of_the_layers_holds_all_its_words():
-    """As wide as the widest usual sans-serif draws them; the one in the documents has all rows."""
+def test_the_drawing_in_the_documents_is_that_of_the_layers():
+    """The one in the documents has all rows."""
     path = ROOT.parent / 'scripts' / 'draw_architecture.py'
     spec = util.spec_from_file_location('draw_architecture', path)
     drawing = util.module_from_spec(spec)
     spec.loader.exec_module(drawing)
-    drawn = drawing.picture()
-    width = float(re.search(r'viewBox="0 0 (\S+) ', drawn).group(1))
-    for x, size, text in re.findall(
-            r'<text x="(\d+)" y="\d+" font-size="(\d+)" text-anchor="start"[^>]*>([^<]*)<', drawn):
-        assert float(x) + 0.6 * float(size) * len(html.unescape(text)) < width, text
     committed = drawing.PICTURE.read_text(encoding='utf-8')
     assert re.findall('weight="bold">(.*?)<', committed) == [*reversed(drawing.layers())]

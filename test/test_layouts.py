@@ -8,9 +8,8 @@ from pathlib import Path
 import re
 import xml.etree.ElementTree as ElementTree
 
-from gms_flex_control.file_io import read_yaml, robot_file
+from gms_flex_control.file_io import robot_file
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.schema.urdf import BASE
 import pytest
 
 pytestmark = pytest.mark.fast
@@ -33,10 +32,6 @@ def plotjuggler():
     return ElementTree.parse(ROOT / 'layouts' / 'plotjuggler.xml').getroot()
 
 
-def rviz():
-    return read_yaml(ROOT / 'config' / 'arm.rviz', 'safe')
-
-
 def test_plotjuggler_draws_series_that_exist():
     """A joint state is /topic/joint/field to it, an array /topic/data[i]."""
     root = plotjuggler()
@@ -49,13 +44,6 @@ def test_plotjuggler_draws_series_that_exist():
     for splitter in root.iter('DockSplitter'):
         sizes = splitter.get('sizes').split(';')
         assert int(splitter.get('count')) == len(sizes) == len(splitter)
-
-
-def test_plotjuggler_keeps_every_curve_until_its_data_come():
-    """Until 3.16 it looks for them at this depth alone; the others it drops before data come."""
-    root = plotjuggler()
-    found = root.findall('tabbed_widget/Tab/Container/DockSplitter/DockArea/plot/curve')
-    assert found == list(root.iter('curve'))
 
 
 def test_plotjuggler_subscribes_to_what_it_draws():
@@ -81,32 +69,3 @@ def test_foxglove_draws_fields_that_exist():
             size = ARRAYS[topic] if field == 'data' else len(STATES[topic])
             assert field in ('data', *FIELDS), name
             assert int(index) < size, name
-
-
-def test_foxglove_places_each_of_its_panels_once():
-    def panels(node):
-        if isinstance(node, str):
-            return [node]
-        assert node['direction'] in ('row', 'column')
-        return panels(node['first']) + panels(node['second'])
-
-    layout = foxglove()
-    assert sorted(panels(layout['layout'])) == sorted(layout['configById'])
-    assert {'globalVariables', 'userNodes', 'playbackConfig'} <= set(layout)
-
-
-def test_foxglove_names_every_plot_and_its_unit():
-    """The key of a title depends on the program and its version; 'title' is not one."""
-    plots = [panel for panel in foxglove()['configById'].values() if 'paths' in panel]
-    assert plots
-    for plot in plots:
-        assert plot['foxglovePanelTitle'] == plot['lichtblickPanelTitle']
-        assert plot['foxglovePanelTitle'].endswith(f'[{plot["yAxisLabel"]}]')
-        assert 'title' not in plot
-
-
-@pytest.mark.parametrize('frame', [
-    rviz()['Visualization Manager']['Global Options']['Fixed Frame'],
-    foxglove()['configById']['3D!arm']['followTf']])
-def test_the_arm_is_drawn_in_the_frame_of_its_base(frame):
-    assert frame == BASE

@@ -98,12 +98,6 @@ def test_every_requirement_is_locked():
     assert wanted <= locked, f'run make lock: {sorted(wanted - locked)} missing'
 
 
-def test_parameter_files_are_found_in_the_source_tree():
-    assert file_io.share_path() == ROOT
-    assert file_io.robot_file() == ROOT / 'config' / 'robot.yaml'
-    assert file_io.controller_file() == ROOT / 'config' / 'controller.yaml'
-
-
 def test_without_the_packages_of_pypi_only_bags_are_missing():
     """The nodes of the loop run; what needs a bag says what to install."""
     pytest.importorskip('rclpy')

@@ -132,24 +132,6 @@ def test_the_terminal_table_is_narrow_and_says_what_is_known(beside):
     assert ('presliding curve: at most 2 % of F_s off' in text) == beside
 
 
-def test_blocks_of_another_number_have_no_counterpart():
-    made = identification()
-    friction = made.robot.friction
-    fewer = replace(friction, weight=np.tile([0.5, 0.5, 0, 0, 0, 0, 0, 0], (2, 1)))
-    made = replace(made, robot=replace(made.robot, friction=fewer))
-    text = identification_text(made, beside=load_robot(robot_file()))
-    row = next(line for line in text.splitlines() if line.startswith('stiffness[0]'))
-    assert row.endswith(' -')
-
-
-def test_blocks_are_matched_in_the_order_they_slip():
-    made, truth = identification(), load_robot(robot_file())
-    turned = replace(truth.friction, stiffness=truth.friction.stiffness[:, ::-1])
-    text = identification_text(made, beside=replace(truth, friction=turned))
-    row = next(line for line in text.splitlines() if line.startswith('stiffness[0]'))
-    assert row.split()[-1] == '2.26'
-
-
 def test_an_unknown_interval_is_not_made_up():
     made = identification(1)
     first = made.joints[0].estimates[0]._replace(

@@ -50,19 +50,3 @@ def test_pictures_of_repeats_and_strange_names_do_not_collide(tmp_path):
     recordings_page.write_tracking_report([run('a/../b', 'x'), run('a/../b', 'x')], tmp_path)
     assert sorted(path.name for path in tmp_path.glob('*.png')) == [
         'errors_a_.._b.png', 'tracking_a_.._b_x.png', 'tracking_a_.._b_x_2.png']
-
-
-def test_figures_show_every_joint_with_its_unit():
-    runs = [run('sinusoid', 'none', 0.002), run('sinusoid', 'gms', 0.001)]
-    panels = recordings_page.error_figure(runs, 'sinusoid').axes
-    assert [panel.get_ylabel() for panel in panels] == ['joint1 [mrad]', '<b>$_ [mrad]']
-    lines = {line.get_label(): line for line in panels[0].get_lines()}
-    np.testing.assert_allclose(lines['without compensation'].get_ydata(), 2.0)
-    measured, *_ = recordings_page.tracking_figure(runs[0]).axes[1].get_lines()
-    np.testing.assert_allclose(measured.get_ydata(), 0.002)
-
-
-def test_true_friction_is_drawn_where_it_is_known(tmp_path):
-    recordings_page.write_tracking_report([run('sinusoid', 'none')], tmp_path,
-                                          friction_true={0: np.full((2000, 2), 0.25)})
-    assert '"label":"true"' in (tmp_path / 'report.html').read_text()

@@ -49,11 +49,6 @@ def test_all_five_rows_go_on_without_a_jump_across_joins(name):
         np.testing.assert_allclose(after, before, rtol=0, atol=1e-5)
 
 
-def test_before_its_beginning_it_stays_at_its_beginning():
-    trajectory = builders.sinusoid([1.0], 2.0, phase=0.5).shifted(3.0)
-    np.testing.assert_array_equal(trajectory.sample(0.0), trajectory.sample(3.0))
-
-
 def test_a_sinusoid_ramped_in_is_the_sinusoid_and_starts_at_rest():
     trajectory = builders.sinusoid([1.0, 0.5], [6.0, 4.0], phase=[0.0, 0.3], ramp_time=3.0)
     np.testing.assert_allclose(trajectory.sample(0.0), 0.0, atol=1e-12)
@@ -261,11 +256,6 @@ def test_torques_reach_their_levels_at_the_mean_rate_and_stop_there():
     assert at[:, 0, 0] == pytest.approx([0.0, 0.2, -0.1, 0.0, 0.0], abs=1e-12)
     assert np.abs(at[:, 1:3]).max() < 1e-9
     assert_consistent(trajectory, 1e-3)
-
-
-def test_zero_levels_are_a_lasting_zero_torque():
-    trajectory = builders.torque_levels(np.zeros((1, 2)), 1.0)
-    assert trajectory.end == 0.0 and np.all(trajectory.sample(np.array([0.0, 5.0])) == 0.0)
 
 
 def test_parameters_move_motions_and_hold_torques_against_gravity():

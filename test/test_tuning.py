@@ -31,8 +31,8 @@ import numpy as np
 import pytest
 
 NOTHING = StribeckParams(static=[1e-12], coulomb=[1e-12], velocity=[0.01], viscous=[0.0])
-FRICTIONLESS = FrictionParams(forward=NOTHING, backward=NOTHING, stiffness=[[0.0] * 6],
-                              weight=[[1.0 / 6.0] * 6], attraction=[1.0])
+FRICTIONLESS = FrictionParams(forward=NOTHING, backward=NOTHING, stiffness=[[0.0] * 8],
+                              weight=[[1.0 / 8.0] * 8], attraction=[1.0])
 INERTIA, KD, RATE = 0.2, 1.5, 6.0
 STILL = np.zeros(1)
 
@@ -118,7 +118,7 @@ def test_a_constant_torque_moves_the_link_as_far_as_is_told(flexible):
 
 def test_stuck_blocks_hold_a_link_like_a_spring(rigid):
     """Without gains the pole is that of k_i and the inertia."""
-    stiff = replace(FRICTIONLESS, stiffness=[[5.0] * 6])
+    stiff = replace(FRICTIONLESS, stiffness=[[30.0 / 8.0] * 8])
     robot = replace(rigid, friction=stiff)
     idle = gains_of(kd_link=0.0, lambda_link=0.0)
     loop = linear_loop(robot, robot, idle, Timing(1e-3, 0.0), STILL, stuck=True)

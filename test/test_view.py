@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex view` without a browser: columns, decimation, rows of a running loop, the server."""
 
-from dataclasses import replace
 import http.client
 import json
 from pathlib import Path
@@ -13,7 +12,6 @@ import socket
 import subprocess
 
 from core_runs import single_axis
-from gms_flex_control.cli.main import main
 from gms_flex_control.data import cdr
 from gms_flex_control.data.reader import read_blocks
 from gms_flex_control.data.recording import Recording
@@ -78,17 +76,6 @@ def test_a_chart_of_few_points_keeps_every_peak_and_the_share_of_sticking():
     assert column(table, 'link.0').max() == 7.0 and column(table, 'link.1').min() == -9.0
     assert column(table, 'stick.0.1').mean() == pytest.approx(0.5, abs=0.01)
     assert not column(table, 'stick.1.2').any()
-
-
-@pytest.mark.parametrize(('field', 'signal'), [
-    ('reference', 'reference'), ('command', 'command'), ('friction_hat', 'friction'),
-    ('q_motor', 'motor')])
-def test_a_signal_that_was_not_recorded_is_named_as_missing(field, signal):
-    whole = recording()
-    found = view_of(replace(whole, **{field: np.nan}))[0].session()['signals']
-    gone = {'reference': {'error'}, 'motor': {'torsion'}}.get(signal, set())
-    absent = {name for name, there in found.items() if not there}
-    assert absent == {signal, 'block', 'stick', *gone}
 
 
 def test_one_rigid_joint_and_many_joints_have_a_scene(robot):
@@ -354,11 +341,6 @@ def test_only_names_of_this_machine_lead_here(host, asked, good):
     assert (Access(host).refusal_of_host(asked) == '') is good
 
 
-def test_beyond_this_machine_parameters_are_seen_and_not_set():
-    access = Access('0.0.0.0', may_set=False)
-    assert 'without --host' in access.refusal_of_change({'X-Token': access.token})
-
-
 def run_view(*arguments):
     """Start the tool and return its process."""
     return subprocess.Popen([*TOOL, 'view', *map(str, arguments)], stdout=subprocess.PIPE,
@@ -374,17 +356,3 @@ def test_the_tool_prints_its_address_and_ends_with_0(tmp_path):
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0, '')
-
-
-def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, capsys):
-    bag = write_bag(tmp_path / 'bag')
-    with socket.create_server(('127.0.0.1', 0)) as taken:
-        for arguments, words in [
-                (('live', 'bag'), 'live bag: only bags are drawn over each other'),
-                ((bag, '--port', 99999), '--port'),
-                ((bag, '--port', taken.getsockname()[1]), 'cannot be listened on'),
-                ((bag, '--host', 'no.such.invalid'), 'must be an address of this machine'),
-                ((bag, '--host', '192.0.2.1'), 'must be an address of this machine')]:
-            assert main(['view', *map(str, arguments)]) == 2
-            errors = capsys.readouterr().err
-            assert words in errors and errors.count('\n') == 1

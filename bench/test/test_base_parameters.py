@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The benches of whole arms: scores, recordings and pictures."""
 
-from bench.growth import Cost, draw, recorded
+from bench.growth import recorded
 from bench.hidden_arms.base_parameters import flexible_score, score_of
 import numpy as np
 import pytest
@@ -34,10 +34,3 @@ def test_joints_of_a_recording_to_grow_by_move_unlike_each_other():
     assert np.all(travel > 0.5)
     assert abs(np.corrcoef(recording.q_link.T)[0, -1]) < 0.5
     assert np.all(np.std(recording.q_link - recording.reference[:, 0], axis=0) < 0.05)
-
-
-def test_growth_is_drawn(tmp_path):
-    costs = [Cost(verb, n, 1.0, 10.0 * n, 15.0 * n, 400.0) for verb in ('identify', 'discrepancy')
-             for n in (1, 6)]
-    draw(costs, tmp_path / 'growth.png')
-    assert (tmp_path / 'growth.png').read_bytes().startswith(b'\x89PNG')

@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Intervals hold the truth or are not printed: the worst case of bench.coverage, in short."""
 
-from bench.coverage import Case, cell, CURVE, held, identified, rows_of
+from bench.coverage import Case, held, identified, rows_of
 import pytest
 
 
@@ -36,13 +36,3 @@ def test_no_curve_of_stiffnesses_that_are_not_identifiable(simple):
     result, = simple[1].joints
     assert all(one.flags for one in result.estimates if 'stiffness' in one.name)
     assert all(len(part) == 0 for part in result.curve)
-
-
-def test_a_cell_tells_share_error_and_number():
-    """One of two intervals, of three rows; an error where all hold as well."""
-    rows = [[CURVE, 1.0, 1.0, 0.9, 1.1], [CURVE, 1.0, 2.0, 0.9, 1.1],
-            [CURVE, 1.0, 1.0, None, None]]
-    assert held([{'rows': rows}]) == (1, 2, 3)
-    assert cell((1, 2, 3)) == '50 \u00b1 35 % (2 of 3)'
-    assert cell((8, 8, 8)) == '100 \u00b1 11 % (8 of 8)'
-    assert cell((0, 0, 3)) == '- (0 of 3)'

@@ -9,7 +9,6 @@ import os
 import pty
 import subprocess
 
-from bench.__main__ import main
 from bench.demos.identify import tracking_of_copies
 from gms_flex_control.cli.demo import plan_of
 from gms_flex_control.comparison.tracking import link_rms
@@ -81,16 +80,6 @@ def test_the_processes_leave_no_traceback(outcome):
     logs = {path.name: path.read_text() for path in (outcome[0] / 'log').glob('*.log')}
     assert {'controller.log', 'identification.log', 'plant.log', 'trajectory.log'} <= set(logs)
     assert not any('Traceback' in text for text in logs.values())
-
-
-def test_a_bad_plan_leaves_an_earlier_demo(tmp_path, capsys):
-    (tmp_path / '.gms_flex_demo_identify').touch()
-    (tmp_path / 'bag').mkdir()
-    plan = tmp_path / 'plan.yaml'
-    plan.write_text(PLAN.replace('[2.0]', '[900.0]'))
-    assert main(['demo-identify', '--out', str(tmp_path), '--plan', str(plan)]) == 2
-    assert 'step sliding/joint2/+61' in capsys.readouterr().err
-    assert (tmp_path / 'bag').is_dir()
 
 
 @pytest.fixture(scope='module')

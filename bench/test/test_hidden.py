@@ -8,7 +8,7 @@ import json
 from types import SimpleNamespace
 
 from bench.__main__ import main
-from bench.hidden_robots import cases, motions, plants, sizes, truth
+from bench.hidden_robots import cases, plants, sizes, truth
 from core_runs import push_plant
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.dynamics import chain
@@ -131,31 +131,10 @@ def base_parameters(arm):
     return np.array([square[0, 0] - square[1, 1], coupled, square[1, 1]])
 
 
-@pytest.mark.parametrize('motion', motions.MOTIONS)
-@pytest.mark.parametrize('plant', plants.PLANTS)
-def test_a_reference_is_smooth_and_begins_at_rest(motion, plant):
-    """Its derivatives are those of its angles; it reverses and goes fast and slow."""
-    time = np.arange(30000) * 2e-3
-    reference = motions.draw_reference(np.random.default_rng(1), motion, plant, time)
-    np.testing.assert_allclose(reference[0], 0.0, atol=1e-12)
-    for k in range(3):
-        slope = np.gradient(reference[:, k], 2e-3, axis=0)
-        np.testing.assert_allclose(slope[1:-1], reference[1:-1, k + 1], atol=2e-3)
-    reversals = np.sum(np.diff(np.sign(reference[:, 1]), axis=0) != 0, axis=0)
-    assert reversals.min() >= 10
-
-
 def test_a_longer_chain_is_refused():
     three = SimpleNamespace(arm=SimpleNamespace(kind='planar'), n_joints=3, effects=())
     with pytest.raises(ConfigError, match='one or two joints, got 3'):
         truth.constants_of(three)
-
-
-def test_an_unknown_kind_is_refused_with_the_nearest():
-    with pytest.raises(ConfigError, match="kind 'singel' is unknown; did you mean 'single'?"):
-        cases.make_case('singel', 0)
-    with pytest.raises(ConfigError, match="effect 'backlsh' is unknown; did you mean"):
-        cases.make_case('single', 0, effect='backlsh')
 
 
 def test_hide_writes_what_a_user_has_and_the_truth(tmp_path, capsys):
@@ -177,28 +156,3 @@ def test_hide_writes_what_a_user_has_and_the_truth(tmp_path, capsys):
     assert main(args) == 0
     assert 'kept as it is' in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.iterdir()) == ['double_2']
-
-
-def test_hide_writes_arms_that_carry_their_weight(tmp_path):
-    """Robot files know gravity along -y alone; the arm hangs from any direction all the same."""
-    args = ['hide', '--out', str(tmp_path), '--kind', 'clean', '--population', 'gravity',
-            '--duration', '8']
-    assert main(args) == 0
-    robot = load_robot(tmp_path / 'clean_0_gravity' / 'robot.yaml')
-    believed = cases.make_case('clean', 0, duration=8.0, population='gravity').nominal
-    assert robot.arm.gravity[1] < 0.0 and robot.arm.offset[0] != 0.0
-    zero = np.zeros(2)
-    for q in np.random.default_rng(5).uniform(-2.0, 2.0, (5, 2)):
-        weights = [chain.matrices(q, zero, zero, zero, one.arm).gravity
-                   for one in (robot, believed)]
-        np.testing.assert_allclose(weights[0], weights[1], rtol=1e-12)
-
-
-def test_the_supply_is_recorded_where_it_matters():
-    """With other effects it is there in half of the cases, so that it tells nothing."""
-    case = cases.make_case('single', 0, effect='supply_sag', duration=10.0)
-    volts = case.recording.supply
-    assert np.isfinite(volts).all() and volts.max() < 24.1 and np.ptp(volts) > 0.5
-    recorded = [np.isfinite(cases.make_case('clean', seed, duration=8.0).recording.supply).all()
-                for seed in range(6)]
-    assert 0 < sum(recorded) < 6

@@ -12,15 +12,10 @@ from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.populations import (
     belief_errors,
     Drives,
-    gaussian_errors,
-    Population,
     POPULATIONS,
-    SPREAD,
-    WIDTHS,
 )
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.dynamics import chain
-from gms_flex_control.errors import ConfigError
 import numpy as np
 import pytest
 
@@ -86,18 +81,6 @@ def test_what_is_believed_is_far_off_and_physical(name, low, high):
     assert abs(np.mean(signs)) < 0.35
 
 
-def test_gaussian_beliefs_are_as_wide_as_their_kind():
-    off = {kind: [] for kind in WIDTHS}
-    for seed in range(400):
-        draw = gaussian_errors(np.random.default_rng(seed))
-        for kind, values in off.items():
-            values.extend(draw(kind, 8))
-    wider = np.sqrt(np.mean(np.square(np.linspace(*SPREAD, 1001))))  # over all robots
-    for kind, values in off.items():
-        assert np.std(values) == pytest.approx(wider * WIDTHS[kind], rel=0.1), kind
-        assert abs(np.mean(values)) < 0.1 * WIDTHS[kind]
-
-
 def applied_noise(population, duration=20.0):
     """Return torque applied less commanded (T - 1, 2), its Drives and the samples' period."""
     rng = np.random.default_rng(4)
@@ -118,15 +101,6 @@ def test_white_torque_noise_is_as_large_as_stated_and_forgets_at_once():
     np.testing.assert_allclose(noise.std(axis=0), drives.deviation, rtol=0.03)
     for one in noise.T:
         assert abs(np.corrcoef(one[1:], one[:-1])[0, 1]) < 0.03
-
-
-def test_coloured_torque_noise_is_of_first_order_with_the_corner_drawn():
-    noise, drives = applied_noise(Population(noise=0.06, coloured=True))
-    assert np.all((drives.corner >= 2.0) & (drives.corner <= 20.0))
-    np.testing.assert_allclose(noise.std(axis=0), drives.deviation, rtol=0.25)
-    for one, corner in zip(noise.T, drives.corner, strict=True):
-        remembered = np.corrcoef(one[1:], one[:-1])[0, 1]
-        assert -np.log(remembered) / (2.0 * np.pi * 2e-3) == pytest.approx(corner, rel=0.3)
 
 
 def test_pid_follows_without_a_model_of_friction(tmp_path):
@@ -164,10 +138,3 @@ def test_mujoco_moves_the_hidden_robot_alike(plant, tilted, near):
                     for drive in (truth.under_cascade, mujoco_plant.under_cascade))
     assert np.abs(theirs.true - ours.true)[:, [0, 2]].max() < near
     assert np.abs(bare.true - ours.true)[:, [0, 2]].max() > 5.0 * near
-
-
-def test_what_a_population_cannot_have_is_refused():
-    with pytest.raises(ConfigError, match='mujoco cannot have base_flexibility'):
-        make_case('single', 0, population='mujoco', effect='base_flexibility')
-    with pytest.raises(ConfigError, match="population 'nois_6' is unknown; did you mean"):
-        make_case('single', 0, population='nois_6')

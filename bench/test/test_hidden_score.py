@@ -4,19 +4,12 @@
 """The bench of hidden effects: answers are judged by what was hidden, runs go on where killed."""
 
 import json
-from types import SimpleNamespace
 
-from bench.__main__ import build_parser, main
+from bench.__main__ import main
 from bench.hidden_robots import figures, judgement, peers, score
-from bench.hidden_robots import outcome as tried
-from bench.hidden_robots.cases import available_effects, make_case
-from bench.hidden_robots.jobs import fingerprint, Job, jobs_of
-from bench.hidden_robots.outcome import try_job
-from bench.hidden_robots.score import jobs_asked
+from bench.hidden_robots.cases import make_case
+from bench.hidden_robots.jobs import fingerprint, Job
 from gms_flex_control.batches import Journal
-from gms_flex_control.discrepancy.result import Credible, Noise, Recorded, Searched
-from gms_flex_control.discrepancy.validation import Gain
-from gms_flex_control.errors import BagError
 import numpy as np
 import pytest
 
@@ -167,14 +160,6 @@ def test_each_population_has_a_line_of_its_own():
     assert 'required' not in score.report(outcomes[:6])
 
 
-def test_peers_are_judged_by_their_names():
-    one = outcome(hidden=[effect('backlash')], findings=[finding('backlash')])
-    one['answers']['forward R^2'] = [['end_stop', 'joint1'], ['backlash', 'joint1']]
-    found = figures.peer_figures([one, outcome('clean', verdict='complete')], 'forward R^2')
-    assert found == {'right name, first place': 0.0, 'wrong name': 1.0}
-    assert 'forward R^2' in score.table([one])
-
-
 def test_peers_are_asked_on_the_rows_of_a_hidden_robot():
     """A dead zone that stands out, with its name in the library and without."""
     case = make_case('single', 13, duration=12.0)
@@ -182,82 +167,6 @@ def test_peers_are_asked_on_the_rows_of_a_hidden_robot():
     assert peers.ask(case)[peers.FORWARD][0] == hidden
     without = peers.ask(case, without=hidden[:1])[peers.FORWARD]
     assert without and hidden not in without
-
-
-def test_the_sets_hold_as_many_as_are_asked():
-    """300 singles over both plants, 60 clean, 60 double, 40 outside; no job twice."""
-    jobs = jobs_of('full')
-    count = {kind: sum(job.kind == kind and job.population == 'home' for job in jobs)
-             for kind in ('single', 'clean', 'double', 'outside')}
-    assert count['single'] >= 300 and count['clean'] >= 60
-    assert count['double'] >= 60 and count['outside'] >= 40
-    assert len({job.key for job in jobs}) == len(jobs)
-    assert len({job.kind for job in jobs[:30]}) >= 5
-    half = jobs_of('full', 0.5)
-    assert half == jobs[:len(half)] and abs(len(half) - 0.5 * len(jobs)) < 1.0
-    assert abs(sum(job.kind == 'clean' for job in half) - 30) <= 1
-
-
-def test_populations_are_tried_side_by_side(tmp_path, capsys):
-    """Of an effect that motors do not show, or that MuJoCo's robots cannot have, there is none."""
-    args = ['score', '--out', str(tmp_path), '--population', 'home', 'gravity', 'motors_only']
-    jobs = jobs_asked(build_parser().parse_args([*args, '--kind', 'single', '--seeds', '0:37']))
-    assert {job.population for job in jobs} == {'home', 'gravity', 'motors_only'}
-    assert len({job.key for job in jobs}) == len(jobs) < 3 * 37
-    assert jobs[0].key == 'single/rich/drawn/60/0' and jobs[1].key.endswith('/0/gravity')
-    seed = available_effects().index('base_flexibility')
-    assert Job('single', seed).can_be_seen and not Job('single', seed, 'mujoco').can_be_seen
-    assert Job('clean', seed, 'mujoco').can_be_seen
-    assert main(args) == 2 and 'give kinds and --seeds' in capsys.readouterr().err
-
-
-@pytest.fixture
-def workflow(monkeypatch):
-    """Return a workflow that answers as it is told, in the place of the real one."""
-    module = SimpleNamespace(asked=[])
-
-    def find_discrepancy(recordings, robot, options, *, holdout):
-        assert len(holdout) == 1
-        module.asked.append((recordings, robot, options))
-        if isinstance(module.result, Exception):
-            raise module.result
-        return module.result
-    monkeypatch.setattr(tried, 'find_discrepancy', find_discrepancy)
-    monkeypatch.setattr(tried, 'Options', lambda **given: SimpleNamespace(
-        **{'without': (), **given}))
-    return module
-
-
-def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
-    """It gets one recording and the nominal robot; of a deleted effect also the name."""
-    finding = SimpleNamespace(effect='backlash', joint='joint2', main=True, runner_up='x',
-                              score=np.float64(70.0), torque=0.01,
-                              parameters={'half_gap': np.float64(0.1)},
-                              indistinguishable_from=(('end_stop', 'joint2'),),
-                              probability=np.float64(0.99),
-                              held_out=Gain(np.float64(30.0), 5.0, 10))
-    workflow.result = SimpleNamespace(
-        verdict='effects_found', gap=SimpleNamespace(
-            retuned=np.array([1.0, 2.0]), after=[1.0, 1.0], floor=[0.5, np.nan],
-            free_before=[1.0, 1.0], free_after=np.array([0.5, 0.5])),
-        named=(finding,),
-        searched=Searched((Credible((('backlash', 'joint2'),), 0.99),)),
-        data=Recorded(noise=(Noise('joint1', 'motor', 0.003, 0.001, 'white'),)))
-    found = try_job(Job('deleted', 1, duration=8.0), with_peers=False)
-    recordings, robot, options = workflow.asked[0]
-    assert len(recordings) == 1 and robot.effects == ()
-    assert options.without == (found['truth']['effects'][0]['effect'],)
-    assert found['answers'] == {'workflow': [['backlash', 'joint2']]}
-    assert found['gap']['floor'] == [0.5, None] and found['gap']['free_after'] == [0.5, 0.5]
-    json.dumps(found, allow_nan=False)
-
-
-@pytest.mark.parametrize('error', [BagError('no torque'), np.linalg.LinAlgError('no torque')])
-def test_a_workflow_that_fails_is_told_and_counts_against_it(workflow, error):
-    workflow.result = error
-    found = try_job(Job('single', 1, duration=8.0), with_peers=False)
-    assert found['verdict'] == 'error' and judgement.judged(found) == 'fault'
-    assert 'no torque' in score.report([found])
 
 
 def test_score_prints_what_the_journal_holds(tmp_path, capsys):

@@ -3,8 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Phases told from the data alone agree with those that the experiment wrote down."""
 
-from bench.paper_method import experiments as phases
-from bench.paper_method.experiments import label, runs
+from bench.paper_method.experiments import label
 import numpy as np
 from paper_experiment import experiment
 import pytest
@@ -55,18 +54,3 @@ def test_phases_found_agree_with_those_known(named):
     assert set(shares) == {'constant_velocity', 'presliding', 'sliding'}
     assert np.mean((found == known)[told]) > 0.96, shares
     assert min(shares.values()) > 0.9, shares
-
-
-def test_a_joint_nobody_moves_stands(robot, gains):
-    """While joint 1 is at work at constant velocity, joint 2 is held: no sliding there."""
-    recording, _, stretches, half = experiment(robot, gains, 'joint1', SEED, ideal=False, **{
-        'identification.experiments': ['presliding']})
-    held = label(stretches[0], robot.arm, 1, recording.period, half[1])
-    assert np.isin(held, (phases.STANDING, phases.PRESLIDING)).mean() > 0.95
-
-
-def test_runs_are_where_a_mask_is_true():
-    mask = np.array([True, False, True, True, False, True])
-    assert runs(mask) == [slice(0, 1), slice(2, 4), slice(5, 6)]
-    assert runs(~mask) == [slice(1, 2), slice(4, 5)]
-    assert runs(np.zeros(3, dtype=bool)) == []

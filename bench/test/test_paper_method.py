@@ -9,12 +9,11 @@ from bench.__main__ import main
 from bench.paper_method.method import (
     fit_map,
     fit_paper,
-    N_BLOCKS,
     steady_torque,
 )
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
+from gms_flex_control.identification.coordinates import presliding_curve
 from gms_flex_control.schema.files import save_robot
 from identified_axis import axis
 from identified_axis import experiment as axis_experiment
@@ -58,16 +57,6 @@ def test_hidden_friction_is_found_from_ideal_encoders(ideal, named, off):
     curve = np.minimum(np.outer(displacement, truth.stiffness[j]), static / 6).sum(axis=1)
     np.testing.assert_allclose(presliding_curve(found.theta, displacement), curve,
                                atol=off * static)
-
-
-def test_equal_blocks_come_in_the_layout_of_the_predictor_with_intervals_of_least_squares(ideal):
-    found = fit(ideal)
-    stiffness, weight = found.theta[9:].reshape(2, MOST_BLOCKS)
-    np.testing.assert_array_equal(weight, [1 / 6] * N_BLOCKS + [0.0] * 2)
-    assert np.all(np.diff(stiffness[:N_BLOCKS]) >= 0) and not stiffness[N_BLOCKS:].any()
-    assert found.intervals[9:] == (None,) * (2 * MOST_BLOCKS)
-    for value, interval in zip(found.theta[:9], found.intervals[:9], strict=True):
-        assert interval.low < value < interval.high
 
 
 def test_encoders_of_20000_counts_leave_the_steady_part_within_reach(robot, gains):

@@ -7,11 +7,11 @@ from dataclasses import replace
 import json
 
 from bench.__main__ import main
-from bench.real_machines import least_squares, library, table
+from bench.real_machines import least_squares
 from bench.real_machines.least_squares import Part
 from bench.real_machines.machines import MACHINES, shared_data, VARIABLE
 from bench.real_machines.motion import low_pass, Motion, motion_of, residual_torque, rms
-from bench.real_machines.split import identified, model_rms, Outcome, parts_of
+from bench.real_machines.split import identified, model_rms, parts_of
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.identification.assumed_robot import rigid_joints
@@ -56,13 +56,6 @@ def test_textbook_recovers_inertia_and_friction():
     fit = least_squares.textbook(part(motion()), BAND, gravity=False)
     assert fit.weights == pytest.approx([INERTIA, COULOMB, VISCOUS, OFFSET], rel=5e-3)
     assert fit.rms(part(motion())) < 0.02 * COULOMB
-
-
-def test_the_strongest_ripple_is_found():
-    one = motion(RIPPLE)
-    plain = least_squares.textbook(part(one), BAND, gravity=False)
-    orders = library.ripple_orders(part(one), [plain.residual(one)], BAND)
-    assert orders[0] == pytest.approx(ORDER, rel=0.01)
 
 
 def test_library_recovers_ripple_and_delay_and_chooses_them():
@@ -204,13 +197,3 @@ def test_absent_recordings_are_skipped_with_a_reason(tmp_path, monkeypatch, caps
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     assert main(['real-machines', 'emps']) == 1
     assert f'skipped, {tmp_path}/emps/identification.csv is absent' in capsys.readouterr().out
-
-
-def test_the_document_keeps_what_stands_around_the_table(tmp_path):
-    path = tmp_path / 'page.md'
-    path.write_text(f'before\n{table.BEGIN}\nold\n{table.END}\nafter\n')
-    outcome = Outcome(machine='emps', split='one', bands=(), verdict='crashed', words='why \\1')
-    table.into_document(path, [outcome], ['EMPS: skipped'], [('EMPS', 'real_emps.png')])
-    text = path.read_text()
-    assert text.startswith('before\n') and text.endswith('\nafter\n') and 'old' not in text
-    assert 'why \\1' in text and '![EMPS](images/real_emps.png)' in text

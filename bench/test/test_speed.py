@@ -9,7 +9,6 @@ import json
 from bench.__main__ import main
 from bench.speed import fit, mujoco_arm, numpy_identification, numpy_loop
 from gms_flex_control.dynamics.chain import matrices
-from gms_flex_control.errors import ConfigError
 from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.schema.files import load_controller, load_robot
@@ -62,12 +61,6 @@ def test_the_mechanism_in_mujoco_is_the_same(robot):
     ours = numpy_loop.NumpyPlant(free)
     ours.advance(command, 1e-4, 3000)
     np.testing.assert_allclose(arm.data.qpos, [*ours.q, *ours.q_motor], rtol=2e-3)
-
-
-def test_a_robot_mujoco_cannot_compare_with_is_refused(robot):
-    decoupled = replace(robot, arm=replace(robot.arm, kind='decoupled'))
-    with pytest.raises(ConfigError, match='needs a planar arm'):
-        mujoco_arm.mjcf(decoupled, 1e-4)
 
 
 def test_the_plain_fit_has_the_same_cost_at_any_parameters_and_is_found_wanting(robot, gains):

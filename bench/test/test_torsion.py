@@ -67,15 +67,6 @@ def test_a_delay_between_the_encoders_is_told_from_flexibility():
     assert stiff[1].relative_error < stiff[0].relative_error
 
 
-def test_uneven_samples_and_gaps_are_put_on_an_even_grid():
-    whole = axis()
-    torque = whole.tau_motor.copy()
-    torque[::7] = np.nan
-    found = study(axis(tau_motor=torque), 'axis1', K, J)
-    np.testing.assert_allclose(np.diff(found.time), 0.004, atol=1e-12)
-    assert found.inertia == pytest.approx(M + J, rel=0.02)
-
-
 @pytest.mark.parametrize(('joint', 'stiffness', 'changed', 'message'), [
     ('axis9', K, {}, "no joint 'axis9'; it has axis1"),
     ('axis1', -1.0, {}, 'stiffness must be above 0'),
