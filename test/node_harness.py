@@ -3,9 +3,14 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Real node processes on a ROS domain of their own, and a node in the test that talks to them."""
 
+from functools import cache
 from pathlib import Path
 import signal
 
+from gms_flex_control.control.controller import SteppedController
+from gms_flex_control.schema.files import load_controller, load_robot
+from gms_flex_control.simulation.loop import SteppedPlant
+from gms_flex_control.trajectory import builders
 from processes import environment_of
 import pytest
 
@@ -36,12 +41,23 @@ def write_parameters(path, text):
     return path
 
 
+@cache
+def compile_the_loop():
+    """Compile in this process what the nodes run, so that no test waits for that in vain."""
+    robot = load_robot(FILES[0])
+    plant = SteppedPlant(robot, period=2e-3, substeps=20)
+    plant.measure()
+    plant.advance(SteppedController(load_controller(FILES[1], robot), robot).tick(
+        builders.sinusoid([1.0, 1.0], 6.0).sample(0.0), 2e-3))
+
+
 class Lab(bench.Bench):
     """A bench whose processes take the package from this source tree."""
 
     executor_class = staticmethod(EventsExecutor)
 
     def __enter__(self):
+        compile_the_loop()
         super().__enter__()
         self.environment['PYTHONPATH'] = environment_of()['PYTHONPATH']
         return self

@@ -153,10 +153,8 @@ def test_a_state_before_a_burst_of_others_on_its_topic_is_answered(lab):
     assert 'joint state refused' in lab.controller.printed()
 
 
-@pytest.mark.parametrize('odd', [
-    array_message([0.1] * 10, 'stamp:-1000000000000'), array_message([float('nan')] * 10)])
-def test_a_reference_before_a_burst_of_others_is_followed(lab, odd):
-    followed = 0
+def test_a_reference_before_a_burst_of_others_is_followed(lab):
+    followed, odd = 0, array_message([float('nan')] * 10)
     for _ in range(ROUNDS):
         lab.references.publish(lab.writer.write(TORQUE, EFFORT, lab.stamp + PERIOD))
         for _ in range(BURST):

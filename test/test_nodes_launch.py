@@ -4,13 +4,11 @@
 """The launch files load, describe themselves and start what their arguments ask for."""
 
 from importlib import util
-import json
 import os
 from pathlib import Path
 import stat
 import subprocess
 import sys
-from xml.etree import ElementTree
 
 from gms_flex_control import nodes
 from gms_flex_control.data.reader import read_recording
@@ -119,33 +117,12 @@ def test_helpers_of_packages_that_are_missing_are_warnings(start, monkeypatch, c
     assert 'sudo apt install ros-jazzy-robot-state-publisher' in caplog.text
 
 
-def test_no_dependency_draws_what_a_robot_does_not_need():
-    """Nor what rosdep would take from PyPI, which Ubuntu 24.04 refuses."""
-    manifest = ElementTree.parse(ROOT / 'package.xml').getroot()
-    names = {dependency.text for dependency in manifest.iter('exec_depend')}
-    assert not names & {*SHOWN, 'mcap-ros2-support', 'python3-rosbags-pip'}
-
-
 @pytest.mark.parametrize('name', FILES)
 def test_helpers_come_first_and_the_loop_ends_with_any_of_its_nodes(name, start):
     found = start(name, rviz='true', record='bag')
     assert sorted(list(found)[:3]) == sorted([*SHOWN, 'gms_flex'])
     assert all(found[node].ends_all for node in LOOP)
     assert start(name, composed='true')['loop_node'].ends_all
-
-
-def test_frames_stay_in_their_namespace(start):
-    """Two arms publish frames of the same names."""
-    found = start('demo', namespace='left')
-    for name in SHOWN:
-        assert {('/tf', 'tf'), ('/tf_static', 'tf_static')} <= set(found[name].remappings)
-    assert ('/robot_description', 'robot_description') in found['rviz2'].remappings
-
-
-def test_frames_come_as_often_as_rviz_draws(start):
-    manager = read_yaml(ROOT / 'config' / 'arm.rviz', typ='safe')['Visualization Manager']
-    frequency = start('demo')['robot_state_publisher'].parameters['publish_frequency']
-    assert float(frequency) >= manager['Global Options']['Frame Rate']
 
 
 @pytest.mark.parametrize('name', FILES)
@@ -264,28 +241,6 @@ service = LaunchService(argv=given)
 service.include_launch_description(LaunchDescription([end, included]))
 sys.exit(service.run())
 """
-
-
-def really_started(out, name, **given):
-    """Run a launch file with the real library; return what its processes were given."""
-    done = subprocess.run(
-        [sys.executable, '-c', RUN, str(ROOT / 'launch' / f'{name}.launch.py'), 'none',
-         *(f'{key}:={value}' for key, value in given.items())],
-        capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return {name: (words, files) for name, words, files in
-            (json.loads(path.read_text()) for path in out.iterdir())}
-
-
-@needs_launch
-@pytest.mark.parametrize('name', FILES)
-def test_the_real_launch_starts_the_same(name, fakes, start):
-    given = {'namespace': 'left', 'rviz': 'true', 'use_sim_time': 'true', 'record': 'bag'}
-    for composed in ('false', 'true'):
-        given['composed'] = composed
-        assert set(really_started(fakes, name, **given)) == set(start(name, **given))
-        for path in fakes.iterdir():
-            path.unlink()
 
 
 @needs_launch

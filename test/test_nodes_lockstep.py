@@ -28,7 +28,7 @@ from node_harness import (
 )
 import numpy as np
 
-EXAMPLES = Path(__file__).parents[1] / 'examples' / 'light_arm'
+EXAMPLES = Path(__file__).parents[1] / 'examples' / 'industrial_arm'
 RIGID = """
 motors: ['', '']
 arm:

