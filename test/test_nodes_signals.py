@@ -74,8 +74,8 @@ def test_nodes_that_wait_for_others_end_as_well(tmp_path):
 def test_a_signal_at_any_moment_of_the_start_prints_no_traceback(tmp_path):
     """Also while modules are imported, and where a callback of a library swallows it."""
     with Lab(tmp_path) as lab:
-        for k in range(6):
-            node = lab.start(f'{[*NODES, "loop_node"][k % 4]}.{k}')
+        for k, name in enumerate([*NODES, 'loop_node']):
+            node = lab.start(name)
             lab.until(lambda node=node: imports(node.process.pid))
             time.sleep(0.05 * k)
             assert node.signal(INT) == 0, node.printed()

@@ -45,7 +45,7 @@ def used_in(lab, granted):
                              if '/_action/' not in name)
         return granted - found <= SOMETIMES or time.monotonic() > end
     lab.until(complete)
-    lab.more(lab.listen(DiagnosticArray, '/diagnostics'), 6)  # what comes late is seen too
+    lab.more(lab.listen(DiagnosticArray, '/diagnostics'), 3)  # what comes late is seen too
     complete()
     return {entry for entry in found if entry[0] != 'probe'}
 

@@ -14,6 +14,8 @@ import sys
 from time import monotonic
 from uuid import uuid4
 
+from processes import environment_of
+
 ROOT = Path(__file__).resolve().parents[1]
 TUTORIALS = ROOT / 'docs' / 'tutorials'
 JUDGED = (0, 1, 2)  # exit codes of the tool; what is printed is compared all the same
@@ -110,3 +112,14 @@ class Terminals:
                 if self._mark.encode() in path.read_bytes():
                     found.append(int(path.parent.name))
         return found
+
+
+def place_of(folder):
+    """Return an empty folder to work in, and an environment with this tool on PATH."""
+    tools, here = folder / 'tools', folder / 'here'
+    tools.mkdir()
+    here.mkdir()
+    write_tool(tools / 'gms_flex', '-m gms_flex_control.cli.main')
+    return here, {**environment_of(), 'CONFIG': str(ROOT / 'config'),
+                  'EXAMPLES': str(ROOT / 'examples'),
+                  'PATH': f'{tools}{os.pathsep}{os.environ["PATH"]}'}
