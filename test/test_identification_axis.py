@@ -86,7 +86,7 @@ def truths(robot):
               for side in ('forward', 'backward') for name in NAMES}
     values[f'friction.{JOINT}.attraction'] = friction.attraction[0]
     return values | {f'friction.{JOINT}.stiffness[{i}]': stiffness
-                     for i, stiffness in enumerate(np.sort(friction.stiffness[0]))}
+                     for i, stiffness in enumerate(np.sort(friction.stiffness[0, :4]))}
 
 
 def by_name(found):
