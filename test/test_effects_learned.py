@@ -8,10 +8,9 @@ import json
 
 from bench.hidden_robots import outsiders
 from bench.hidden_robots.cases import make_case
-from bench.learn import text_of
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control.feedforward import as_parameters
-from gms_flex_control.discrepancy.learned_words import described, formula_of
+from gms_flex_control.discrepancy.learned_words import formula_of
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy
@@ -81,11 +80,11 @@ def energy_given(spec, q, load, dt):
 
 
 @pytest.mark.parametrize('name', RANGES)
-def test_a_thousand_random_closed_cycles_give_no_energy(name):
+def test_random_closed_cycles_give_no_energy(name):
     """Each begins and ends at rest at the same place; loads are whatever they like."""
     rng, dt = np.random.default_rng(3), 1e-3
     time = np.arange(2001) * dt
-    for _ in range(1000):
+    for _ in range(300):
         orders, sizes = rng.integers(1, 9, 4), rng.uniform(-0.15, 0.15, 4)
         q = rng.uniform(-0.3, 0.5) + sum(size * (1.0 - np.cos(2.0 * np.pi * order * time / 2.0))
                                          for size, order in zip(sizes, orders, strict=True))
@@ -130,10 +129,6 @@ def test_terms_come_back_from_a_robot_file_as_they_were(robot, tmp_path):
     assert kept == {'learned_position', 'learned_position_friction', 'learned_hysteresis'}
 
 
-def test_no_search_for_names_proposes_a_learned_term():
-    assert not set(learned.KINDS) & set(registry.names())
-
-
 X = np.linspace(-1.0, 2.0, 300)
 
 
@@ -148,15 +143,6 @@ def test_a_curve_is_put_into_words_by_what_it_was_made_of(shape, y, numbers):
     found = formula_of(X, y + 2e-4 * np.random.default_rng(0).normal(size=len(X)))
     assert found.shape == shape and found.error < 0.05
     assert np.allclose(np.abs(found.numbers[:len(numbers)]), np.abs(numbers), rtol=0.05, atol=0.01)
-
-
-def test_elements_are_put_into_words_by_force_and_place():
-    weights = np.zeros(learned.STOPS)
-    weights[5] = 0.03
-    words, _ = described(spec_of('learned_hysteresis', weights), None)
-    assert '30 mN m' in words and f'{1e3 * 0.002 * 250 ** (5 / 11):.3g} mrad' in words
-    words, _ = described(spec_of('learned_resonance', [0.0] * 7 + [0.002]), None)
-    assert '0.002 kg m^2 at 16 Hz' in words
 
 
 @pytest.fixture(scope='module')
@@ -207,7 +193,7 @@ def test_what_was_learned_is_in_the_files_and_the_report_says_how_to_learn(bump,
 
 
 def test_a_clean_robot_gets_no_term_even_if_asked_for():
-    case = make_case('clean', 1, duration=20.0)
+    case = make_case('clean', 1, duration=12.0)
     found = find_discrepancy([case.recording], case.nominal)
     assert learn(found) is found
     asked = replace(found, verdict=UNEXPLAINED)  # as where a finding could not be added
@@ -215,21 +201,3 @@ def test_a_clean_robot_gets_no_term_even_if_asked_for():
     result = learn(asked)
     assert result.learned == () and result.robot is found.robot
     assert 'No learned term predicts' in result.words
-
-
-def test_the_bench_prints_its_figures_and_counts_what_was_made_worse():
-    hidden = {'kind': 'outside', 'seed': 0, 'verdict': 'unexplained', 'seconds': 9.0}
-    term = ['learned_position', 'joint1', 'a bump']
-    text = '\n'.join(text_of([
-        {**hidden, 'name': 'local_bump', 'energy': 0.1, 'free': 0.4, 'worse': False,
-         'terms': [term]},
-        {**hidden, 'name': 'speed_band', 'energy': 0.5, 'free': 1.2, 'worse': True,
-         'terms': []},
-        {'kind': 'clean', 'terms': []}, {'kind': 'clean', 'terms': [term]},
-        {'kind': 'real', 'name': 'emps', 'verdict': 'unexplained', 'unit': 'N', 'factor': 1.0,
-         'length': ['mm', 1e3], 'terms': [term],
-         'models': {'learned term': [1.5, 4e-4, 0.0, 1.2, 30.0],
-                    'neural network': [1.5, 4e-4, 0.0, np.inf, 1.0]}}]))
-    assert 'Functions of state: 1 of 2 learned' in text and 'Made worse by a term: 1 of 2.' in text
-    assert 'Clean robots with a term: 1 of 2.' in text and '0.4 ' in text
-    assert 'runs away' in text
