@@ -92,35 +92,6 @@ def test_what_is_believed_lies_1_to_3_percent_off():
         assert np.all((off > 0.0099) & (off < 0.0301))
 
 
-def test_the_weight_of_an_arm_in_a_tilted_plane_is_borne_and_believed_nearly():
-    """As far as springs bear it; the rest of the robot is that of a level plane."""
-    for seed, plant in enumerate(plants.PLANTS * 4):
-        level, _ = plants.draw_robot(np.random.default_rng(seed), plant)
-        rng = np.random.default_rng(seed)
-        robot, gains = plants.under_gravity(rng, *plants.draw_robot(rng, plant))
-        zero = np.zeros(2)
-        weight = np.abs([chain.matrices(np.array([q, 0.0]), zero, zero, zero, robot.arm).gravity
-                         for q in np.linspace(-np.pi, np.pi, 73)]).max(axis=0)
-        assert 0.0 < np.linalg.norm(robot.arm.gravity) <= 9.81
-        assert np.all(weight < 0.31 * robot.arm.stiffness)
-        assert np.all(gains.torque_limit > 3.0 + weight)
-        np.testing.assert_array_equal(robot.arm.stiffness, level.arm.stiffness)
-        np.testing.assert_array_equal(robot.friction.stiffness, level.friction.stiffness)
-        belief = plants.draw_belief(rng, robot).arm
-        off = np.abs(moments(belief) / moments(robot.arm) - 1.0)
-        assert np.all((off > 0.0099) & (off < 0.0301))
-        off = np.abs(base_parameters(belief) / base_parameters(robot.arm) - 1.0)
-        assert np.all((off > 0.0099) & (off < 0.0301))
-
-
-def moments(arm):
-    """Return the mass moments of two links, each with what it carries, from g of a pose."""
-    zero = np.zeros(2)
-    level = -arm.offset  # across gravity
-    both = chain.matrices(level, zero, zero, zero, arm).gravity
-    return np.array([both[0] - both[1], both[1]])
-
-
 def base_parameters(arm):
     """Return the three constants of M of two links, from M itself at two poses."""
     def mass(q2):

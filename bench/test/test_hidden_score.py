@@ -136,30 +136,6 @@ def test_a_name_for_what_is_truly_believed_wrongly_is_not_wrong(name, joint, rat
     assert judgement.judged(one) == expected
 
 
-def test_each_population_has_a_line_of_its_own():
-    """True errors of belief make no clean robot unclean, and are no absent names."""
-    b, beliefs = effect('backlash'), believed(stiffness=0.2)
-    off = finding('stiffness_error', ratio=0.2)
-    far = {'population': 'beliefs_10', 'beliefs': beliefs}
-    outcomes = [
-        outcome(hidden=[b], findings=[finding('backlash')], **far),
-        outcome(hidden=[b], findings=[off], **far),
-        outcome('clean', findings=[off], **far), outcome('clean', verdict='complete', **far),
-        outcome('clutter', hidden=[b], findings=[finding('backlash'), off], **far),
-        outcome('outside', findings=[off], verdict='unexplained', **far),
-        outcome('clean', findings=[off])]
-    told = figures.of_population(outcomes, 'beliefs_10')
-    assert told['cases'] == 6 and told['right'] == 0.5 and told['right or belief'] == 1.0
-    assert told['wrong'] == 0.0 and told['clean: complete'] == 1.0
-    assert told['clutter: absent'] == 0.0
-    assert told['outside: no name'] == 1.0 and told['double: both'] is None
-    assert figures.of_population(outcomes, 'home')['clean: complete'] == 0.0
-    report = score.report(outcomes)
-    line, = (line for line in report.splitlines() if line.startswith('beliefs_10'))
-    assert line.split()[:7] == ['beliefs_10', '6', '50', '%', '100', '%', '0']
-    assert 'required' not in score.report(outcomes[:6])
-
-
 def test_peers_are_asked_on_the_rows_of_a_hidden_robot():
     """A dead zone that stands out, with its name in the library and without."""
     case = make_case('single', 13, duration=12.0)

@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The paper's method finds friction it was not told, step by step and as a whole."""
 
-from dataclasses import replace
 
 from bench.__main__ import main
 from bench.paper_method.method import (
@@ -12,7 +11,6 @@ from bench.paper_method.method import (
     steady_torque,
 )
 from gms_flex_control.data.writer import write_recording
-from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.coordinates import presliding_curve
 from gms_flex_control.schema.files import save_robot
 from identified_axis import axis
@@ -69,16 +67,6 @@ def test_encoders_of_20000_counts_leave_the_steady_part_within_reach(robot, gain
         speed = np.geomspace(0.03, 2.0, 30)
         np.testing.assert_allclose(steady_torque(speed, *own), steady_torque(speed, *true),
                                    rtol=0.03)
-
-
-@pytest.mark.parametrize(('phase', 'message'), [
-    ('constant_velocity', 'lacks a map of friction against velocity'),
-    ('presliding', 'lacks presliding'), ('sliding', 'lacks sliding')])
-def test_a_missing_experiment_is_named(ideal, phase, message):
-    stretches = [replace(stretch, phase=np.where(stretch.phase == phase, 'approach',
-                                                 stretch.phase)) for stretch in ideal[3]]
-    with pytest.raises(IdentificationError, match=message):
-        fit(ideal, stretches)
 
 
 def test_map_fit_inverts_equation_6_with_break_away_at_zero_velocity():

@@ -7,7 +7,7 @@ import json
 import math
 
 from bench.__main__ import main
-from bench.recover import as_values, from_values, missed_of, recovered, table, Trial
+from bench.recover import as_values, from_values, recovered, table, Trial
 from gms_flex_control.identification.outcome import Estimate, Interval
 from gms_flex_control.schema.build import controller_values
 from gms_flex_control.schema.files import save_robot, save_values
@@ -29,15 +29,6 @@ def test_intervals_that_hold_the_truth_are_counted():
     assert (row.covered, row.identified) == pytest.approx((2 / 3, 3 / 4))
     assert (row.middle, row.worst) == pytest.approx((1.11, 0.3))
     assert '67 %' in table([row])
-
-
-def test_what_is_asked_and_missed_is_said():
-    """Static friction may be 3 % off and the presliding curve 2 %."""
-    trials = [trial(0, 1.05, curve=0.03)]
-    missed = missed_of(recovered(trials), trials)
-    assert missed == ['friction.joint1.forward.static: 5.0 % off, asked 3 %',
-                      'presliding curve: 3.0 % of F_s off, asked 2 %']
-    assert missed_of(recovered([trial(0, 1.02)]), [trial(0, 1.02)]) == []
 
 
 def test_a_trial_is_the_same_after_json():
