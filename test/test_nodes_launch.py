@@ -191,67 +191,36 @@ def test_arguments_reach_the_processes(name, start):
     assert Path(found['rviz2'].words[-1]).is_file()
 
 
-FAKE = """#!{python}
-import json, sys, os
-words, files = sys.argv[1:], []
-for flag, file in zip(words, words[1:]):
-    if flag == '--params-file':
-        files.append(open(file).read())
-name = os.path.basename(__file__)
-with open(os.path.join({out!r}, name + str(os.getpid())), 'w') as out:
-    json.dump([name, words, files], out)
-if name == 'gms_flex' and words[0] == 'urdf':
-    print('<robot/>')
-"""
-
-
-@pytest.fixture
-def fakes(tmp_path, monkeypatch):
-    """Put packages into an ament prefix whose executables tell how they were started."""
-    out = tmp_path / 'out'
-    out.mkdir()
-    own = [*LOOP, 'loop_node', 'identification_node', 'gms_flex']
-    for package, names in {'gms_flex_control': own,
-                           **{name: [name] for name in SHOWN}}.items():
-        register(package, tmp_path)
-        folder = tmp_path / 'lib' / package
-        folder.mkdir(parents=True)
-        for name in names:
-            (folder / name).write_text(FAKE.format(python=sys.executable, out=str(out)))
-            (folder / name).chmod(stat.S_IRWXU)
-    (tmp_path / 'share' / 'gms_flex_control').symlink_to(ROOT)
-    monkeypatch.setenv('AMENT_PREFIX_PATH', os.pathsep.join(
-        [str(tmp_path), *filter(None, [os.environ.get('AMENT_PREFIX_PATH')])]))
-    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
-    return out
-
-
 RUN = """
 import sys
 from launch import LaunchDescription, LaunchService
-from launch.actions import IncludeLaunchDescription, RegisterEventHandler, Shutdown
-from launch.event_handlers import OnProcessExit
+from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-file, last, *given = sys.argv[1:]
+file, *given = sys.argv[1:]
 included = IncludeLaunchDescription(PythonLaunchDescriptionSource(file), launch_arguments=[
     tuple(word.split(':=', 1)) for word in given])
-end = RegisterEventHandler(OnProcessExit(on_exit=lambda event, context: (
-    Shutdown() if event.process_name.startswith(last) else None)))
 service = LaunchService(argv=given)
-service.include_launch_description(LaunchDescription([end, included]))
+service.include_launch_description(LaunchDescription([included]))
 sys.exit(service.run())
 """
 
 
 @needs_launch
 @pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
-def test_the_real_launch_runs_the_loop_in_a_namespace(fakes, tmp_path, monkeypatch):
+def test_the_real_launch_runs_the_loop_in_a_namespace(tmp_path, monkeypatch):
     """Installed nodes track in lockstep until the plant's time is over, which ends all of them."""
-    nodes_there = {'plant_node', 'controller_node', 'trajectory_node', 'gms_flex'}
-    for name in nodes_there:
+    register('gms_flex_control', tmp_path)
+    (tmp_path / 'share' / 'gms_flex_control').symlink_to(ROOT)
+    folder = tmp_path / 'lib' / 'gms_flex_control'
+    folder.mkdir(parents=True)
+    for name in (*LOOP, 'gms_flex'):
         module = 'cli.main' if name == 'gms_flex' else f'nodes.{name}'
-        script = tmp_path / 'lib' / 'gms_flex_control' / name
-        script.write_text(f'#!/bin/sh\nexec {sys.executable} -m gms_flex_control.{module} "$@"\n')
+        (folder / name).write_text(
+            f'#!/bin/sh\nexec {sys.executable} -m gms_flex_control.{module} "$@"\n')
+        (folder / name).chmod(stat.S_IRWXU)
+    monkeypatch.setenv('AMENT_PREFIX_PATH', os.pathsep.join(
+        [str(tmp_path), *filter(None, [os.environ.get('AMENT_PREFIX_PATH')])]))
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
     robot = tmp_path / 'robot.yaml'
     text = (ROOT / 'config' / 'robot.yaml').read_text()
     robot.write_text(text.replace('parameters:\n', 'parameters:\n    duration: 1.0\n'
@@ -259,7 +228,7 @@ def test_the_real_launch_runs_the_loop_in_a_namespace(fakes, tmp_path, monkeypat
     for name, value in private_environment().items():
         monkeypatch.setenv(name, value)
     done = subprocess.run(
-        [sys.executable, '-c', RUN, str(ROOT / 'launch' / 'demo.launch.py'), 'none',
+        [sys.executable, '-c', RUN, str(ROOT / 'launch' / 'demo.launch.py'),
          'rviz:=false', 'mode:=lockstep', 'namespace:=left', f'robot:={robot}',
          f'record:={tmp_path / "bag"}'], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
