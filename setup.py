@@ -57,7 +57,7 @@ setup(
             'flake8-docstrings',
             'flake8-import-order',
             'flake8-quotes',
-            'gms_flex_control[bench,dask,pandas]',  # compared with MuJoCo, given to Dask
+            'gms_flex_control[bench,pandas]',  # compared with MuJoCo
             'mypy>=1.11,<3',
             'pytest>=8,<10',
             'pytest-rerunfailures>=14,<17',
@@ -68,7 +68,6 @@ setup(
             'setuptools<80',  # colcon calls setup.py develop and install, since removed
         ],
         'bench': ['mujoco>=4,<5'],
-        'dask': ['distributed>=2024.12'],
         'pandas': ['pandas>=2,<4'],
         'peers': ['pysindy>=2,<3'],
         'docs': ['myst-parser>=4,<6', 'sphinx>=8,<10', 'sphinx-mathjax-offline>=0.0.2,<1',

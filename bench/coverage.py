@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 from bench.hidden_robots.hide import seeds_of
 from bench.identification_simulated import simulate_identification
+from bench.journal import fingerprint, run_kept
 from gms_flex_control.answer import align
-from gms_flex_control.batches import fingerprint, run_kept
 from gms_flex_control.cli.identify_bags import read_experiment_of
-from gms_flex_control.cli.options import add_verb, BATCH, option, out_folder, Verb
+from gms_flex_control.cli.options import add_verb, option, out_folder, Verb, WORKERS
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.identification_plan import plan_identification
@@ -69,7 +69,7 @@ VERB = Verb(
                default=['plan', 'sinusoids', 'moves']),
         option('--noises', nargs='+', type=float, default=NOISES, metavar='SHARE',
                help='of F_s (default: %(default)s)'),
-        *BATCH, out_folder('coverage.json and coverage.md')), ())
+        WORKERS, out_folder('coverage.json and coverage.md')), ())
 add_parser = partial(add_verb, VERB)
 
 

@@ -13,12 +13,12 @@ from typing import NamedTuple
 from bench.hidden_robots import outsiders
 from bench.hidden_robots.cases import make_case, require_known
 from bench.hidden_robots.hide import seeds_of
+from bench.journal import fingerprint, run_kept
 from bench.real_machines.machines import BAND, MACHINES
 from bench.real_machines.motion import low_pass, motion_of, residual_torque, rms
 from bench.real_machines.split import identified, model_rms, parts_of
 from gms_flex_control.answer import align
-from gms_flex_control.batches import fingerprint, run_kept
-from gms_flex_control.cli.options import add_verb, BATCH, number, option, out_folder, Verb
+from gms_flex_control.cli.options import add_verb, number, option, out_folder, Verb, WORKERS
 from gms_flex_control.discrepancy import motion as measured
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.gap import HORIZON, STRIDE, torque_rms
@@ -70,7 +70,7 @@ VERB = Verb(
         option('--machines', nargs='*', default=list(MACHINES), metavar='MACHINE',
                help=f'real ones (default: {" ".join(MACHINES)})'),
         number('--duration', 'S', 30.0, 'of recordings with a disturbance'),
-        *BATCH, out_folder('learned.json, journal', 'learned')), ())
+        WORKERS, out_folder('learned.json, journal', 'learned')), ())
 add_parser = partial(add_verb, VERB)
 
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 from bench.hidden_robots import motions, plants, sizes, truth
 from bench.hidden_robots.cases import recording_of
 from bench.hidden_robots.hide import seeds_of
+from bench.journal import fingerprint, run_kept
 from gms_flex_control.answer import align
-from gms_flex_control.batches import fingerprint, run_kept
-from gms_flex_control.cli.options import add_verb, BATCH, option, out_folder, Verb
+from gms_flex_control.cli.options import add_verb, option, out_folder, Verb, WORKERS
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.design.motions import Candidate, gentlest, random_moves
 from gms_flex_control.design.plan import clipped, separate
@@ -111,7 +111,7 @@ VERB = Verb(
                help='of each family of effects (default: %(default)s)'),
         option('--families', nargs='*', default=list(FAMILIES), metavar='NAME', choices=FAMILIES,
                help='default: all'),
-        *BATCH, out_folder('next.json, next_bench.png, journal', 'next')), ())
+        WORKERS, out_folder('next.json, next_bench.png, journal', 'next')), ())
 add_parser = partial(add_verb, VERB)
 
 

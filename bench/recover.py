@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bench.identification_simulated import simulate_identification
+from bench.journal import digest_of, fingerprint, run_kept
 from gms_flex_control.answer import align
-from gms_flex_control.batches import digest_of, fingerprint, run_kept
 from gms_flex_control.cli.options import (
     add_verb,
-    BATCH,
     CONTROLLER,
     JSON,
     number,
@@ -23,6 +22,7 @@ from gms_flex_control.cli.options import (
     out_folder,
     ROBOT,
     Verb,
+    WORKERS,
 )
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.simulated import scaled_friction
@@ -62,7 +62,7 @@ VERB = Verb(
         number('--torque-noise', 'NM', 1e-3, 'of the recorded torque [N m]'),
         option('--first', type=int, default=0, metavar='SEED',
                help='the first seed (default: %(default)s)'),
-        *BATCH, out_folder('recovery.json, journal of the seeds', 'recovery'), JSON), ())
+        WORKERS, out_folder('recovery.json, journal of the seeds', 'recovery'), JSON), ())
 add_parser = partial(add_verb, VERB)
 
 

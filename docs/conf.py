@@ -36,7 +36,7 @@ autodoc_member_order = 'bysource'
 autodoc_mock_imports = [name for name in (
     'rclpy', 'rcl_interfaces', 'builtin_interfaces', 'std_msgs', 'std_srvs', 'sensor_msgs',
     'rosgraph_msgs', 'diagnostic_msgs', 'lifecycle_msgs', 'launch', 'launch_ros',
-    'ament_index_python', 'mujoco', 'pysindy', 'distributed', 'dask')
+    'ament_index_python', 'mujoco', 'pysindy')
     if find_spec(name) is None or not find_spec(name).origin]
 napoleon_google_docstring = False
 napoleon_use_rtype = False

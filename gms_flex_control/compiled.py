@@ -11,7 +11,7 @@ Linear algebra runs in one thread: our matrices are small and our own threads an
 all cores busy; threads of BLAS would wait for a core of their own while others spin.
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import wraps
 import hashlib
@@ -146,18 +146,3 @@ except ImportError:  # no rosdep key; without it all is as right, and slower on 
 def in_one_thread() -> AbstractContextManager:
     """Return a context: until it is left, BLAS uses one thread, then as many as before."""
     return threadpool_limits(1, 'blas') if threadpool_limits else nullcontext()
-
-
-_ALONE = RLock()
-
-
-@contextmanager
-def alone_in_one_thread() -> Generator[None, None, None]:
-    """
-    Let one caller of this process in at a time, with BLAS in one thread.
-
-    How many threads BLAS has belongs to the whole process and decides the last bits of its sums:
-    two items that a worker has taken into two threads would set it for each other.
-    """
-    with _ALONE, in_one_thread():
-        yield

@@ -45,10 +45,6 @@ class BatchError(GmsFlexError):
     """A batch of many items cannot be begun or finished."""
 
 
-class LostItemError(BatchError):
-    """One item of a batch kills whatever works on it."""
-
-
 @contextmanager
 def own_warnings() -> Generator[list, None, None]:
     """Yield a list that collects warnings of this package; those of numpy and scipy are lost."""

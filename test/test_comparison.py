@@ -107,7 +107,6 @@ def test_a_robot_that_runs_away_is_lost_and_not_a_number(arm):
 
 def test_compare_prints_the_table_and_writes_a_page_that_stands_alone(
         tmp_path, capsys, only):
-    """Two compensations; the second time everything comes from the journal."""
     only('none', 'gms')
     args = ['compare', '--draws', '1', '--workers', '1', '--out', str(tmp_path)]
     assert main([*args, '--json']) == 0
@@ -119,10 +118,9 @@ def test_compare_prints_the_table_and_writes_a_page_that_stands_alone(
     page = (tmp_path / 'report.html').read_text()
     assert 'One thing different at a time' in page
     assert not re.search(r'(src|href)="(?!#|data:)', page)
-    lines = (tmp_path / 'outcomes.jsonl').read_text()
     assert main(args) == 0
     out = capsys.readouterr().out
-    assert 'GMS, better' in out and (tmp_path / 'outcomes.jsonl').read_text() == lines
+    assert 'GMS, better' in out
     *_, numbers, last = out.rstrip().split('\n\n')
     none, gms, floor = map(float, numbers.splitlines()[2].split()[-3:])
     assert [none, gms] == pytest.approx([1e3 * errors[mode]['nominal'] for mode in (

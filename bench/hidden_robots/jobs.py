@@ -6,9 +6,9 @@
 from pathlib import Path
 from typing import NamedTuple
 
+from bench import journal
 from bench.hidden_robots.cases import in_turn
 from bench.hidden_robots.populations import POPULATIONS
-from gms_flex_control import batches
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 
@@ -73,5 +73,5 @@ def jobs_of(name, share=1.0):
 
 def fingerprint():
     """Return a hash (str) of the sources an answer depends on."""
-    return (batches.fingerprint(_SOURCES)
-            + batches.fingerprint(_OWN, Path(__file__).parent))
+    return (journal.fingerprint(_SOURCES)
+            + journal.fingerprint(_OWN, Path(__file__).parent))

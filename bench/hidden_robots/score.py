@@ -16,8 +16,9 @@ from bench.hidden_robots.judgement import RIGHT, WORKFLOW
 from bench.hidden_robots.outcome import try_job
 from bench.hidden_robots.plants import PLANTS
 from bench.hidden_robots.populations import POPULATIONS
-from gms_flex_control.batches import Journal, open_executor
-from gms_flex_control.cli.options import add_verb, BATCH, JSON, number, option, out_folder, Verb
+from bench.journal import Journal
+from gms_flex_control.batches import run_batch
+from gms_flex_control.cli.options import add_verb, JSON, number, option, out_folder, Verb, WORKERS
 from gms_flex_control.discrepancy.thresholds import EVIDENCE
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.file_io import write_text
@@ -45,7 +46,7 @@ VERB = Verb(
                     'home)'),
         option('--plant', metavar='NAME', help='of --kind: soft or stiff; default: drawn'),
         number('--duration', 'S', 60.0, 'of each recording of --kind'),
-        out_folder('journal outcomes.jsonl, report.txt and report.json'), *BATCH,
+        out_folder('journal outcomes.jsonl, report.txt and report.json'), WORKERS,
         option('--no-peers', action='store_true', help='ask the workflow alone'), JSON), ())
 add_parser = partial(add_verb, VERB)
 
@@ -96,18 +97,27 @@ def tell_beginning(jobs, journal, args):
 
 def try_missing(jobs, journal, args):
     """Try every job that the journal lacks, and keep each outcome at once."""
-    waiting = [job for job in jobs if job.key not in journal.outcomes]
-    try_one = partial(try_job, with_peers=not args.no_peers)
-    with open_executor(args.workers, args.scheduler) as executor:
-        for count, (_, result) in enumerate(executor.finished(try_one, waiting), 1):
-            try:
-                outcome = result()
-            except SimulationError as error:  # nothing can be said of a robot never driven
-                print(f'left out: {error}', file=sys.stderr)
-                continue
-            journal.add(outcome)
-            if not args.json:
-                print(f'[{count}/{len(waiting)}] {line_of(outcome)}', flush=True)
+    waiting, count = {job.key: job for job in jobs if job.key not in journal.outcomes}, 0
+
+    def keep(_, outcome):
+        nonlocal count
+        count += 1
+        if outcome is None:
+            return
+        journal.add(outcome)
+        if not args.json:
+            print(f'[{count}/{len(waiting)}] {line_of(outcome)}', flush=True)
+
+    run_batch(partial(try_driven, with_peers=not args.no_peers), waiting, args.workers, keep=keep)
+
+
+def try_driven(job, with_peers):
+    """Return the outcome of `try_job`, None of a robot that the motion cannot be driven with."""
+    try:
+        return try_job(job, with_peers=with_peers)
+    except SimulationError as error:
+        print(f'left out: {error}', file=sys.stderr)
+        return None
 
 
 def line_of(outcome):

@@ -20,18 +20,17 @@ SUITES = {
     'view': ('view_live', 'measure'),
     'fit': ('fit', 'measure_fit'),
     'identify': ('fit', 'measure_identification'),
-    'batches': ('batches', 'measure'),
     'export': ('mujoco_export', 'measure'),
 }
-# the others support docs/view.md, docs/scale.md and docs/export.md
+# the others support docs/view.md and docs/export.md
 DEFAULT = ('loop', 'step', 'tick', 'ros', 'fit', 'identify')
 
 
 VERB = Verb(
     'speed', lambda args: run(args), 'speed on this machine, beside MuJoCo and numpy',
     'Measure speed: medians of interleaved repetitions. Compare figures of one run only. MuJoCo '
-    'is measured where the extra "bench" is installed. Only when asked for: "batches" '
-    '(docs/scale.md), "export", free runs of the exported MJCF beside our own, effect by effect '
+    'is measured where the extra "bench" is installed. Only when asked for: '
+    '"export", free runs of the exported MJCF beside our own, effect by effect '
     '(docs/export.md), and "view", the late samples of the loop with and without the page of view '
     'live.', (
         option('--quick', action='store_true', help='rough figures in a few seconds'), JSON,

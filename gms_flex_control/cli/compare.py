@@ -6,7 +6,7 @@
 from functools import partial
 from pathlib import Path
 
-from gms_flex_control.batches import content_of, digest_of, fingerprint, run_kept
+from gms_flex_control.batches import run_batch
 from gms_flex_control.cli.identify_bags import motors_in
 from gms_flex_control.cli.robots import controller_of
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
@@ -17,14 +17,10 @@ from gms_flex_control.file_io import as_json, robot_file, write_json
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.results import prediction_values
-from gms_flex_control.schema.build import controller_values, robot_values
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 
 # what a figure depends on
-SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
-           'data', 'identification', 'tuning', 'comparison/study.py',
-           'comparison/prediction.py')
 
 
 def compare_verb(args) -> int:
@@ -76,8 +72,7 @@ def _on_plant(args, files):
     gains = load_controller(controller_of(args, robot.joints), robot)
     setting = study.Setting(robot, gains, np.full(robot.n_joints, args.amplitude), args.rate,
                             args.draws, args.seed)
-    outcomes = _finished(args, study.try_cell, study.cells(setting), robot, gains,
-                         (args.amplitude, args.rate, args.seed), 'cells')
+    outcomes = run_batch(study.try_cell, study.cells(setting), args.workers, 'cells')
     rows = study.table(outcomes, setting)
     values = {'rate': args.rate, 'amplitude': args.amplitude, 'draws': args.draws,
               'seed': args.seed, 'rows': [row._asdict() for row in rows], 'cells': outcomes}
@@ -96,8 +91,7 @@ def _along_bag(args):
     prediction.split(found.pieces, args.fit)  # says now what is too short
     items = {mode: prediction.FitItem(bag, motors, robot, gains, args.fit, mode)
              for mode in prediction.modes_to_fit(found.has_reference)}
-    fits = _finished(args, prediction.fit_item, items, robot, gains,
-                     (content_of(bag), args.fit), 'fits')
+    fits = run_batch(prediction.fit_item, items, args.workers, 'fits')
     predictions = prediction.compare_along(found, gains, args.fit, fits)
     values = {'bag': bag, 'fit': args.fit, 'rows': prediction_values(predictions)}
     return (comparison_page.bag_text(predictions, found, robot.joints), values,
@@ -105,9 +99,3 @@ def _along_bag(args):
                                      args.robot or ()),
             comparison_page.bag_answer(predictions, robot.joints, bag, args.robot or ()),
             partial(in_units, robot.arm))
-
-
-def _finished(args, function, items, robot, gains, asked, label):
-    """Return what a batch found; what the journal in --out has of the same is not done again."""
-    digest = digest_of((robot_values(robot), controller_values(gains, robot.joints), asked))
-    return run_kept(function, items, args, f'{fingerprint(SOURCES)} {digest}', label)

@@ -3,14 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The verb `discrepancy`: what a model lacks, from bags together or each by itself."""
 
-from argparse import Namespace
 import json
-import os
 from pathlib import Path
 import sys
 from textwrap import fill
 
-from gms_flex_control.batches import content_of
 from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
@@ -31,8 +28,6 @@ import numpy as np
 
 _WIDTH = 96
 
-_FILES = ('robot', 'models', 'controller', 'holdout')  # options that name files
-
 
 def discrepancy_verb(args) -> int:
     """Compare, write and print; return the exit code of the verdict."""
@@ -40,10 +35,9 @@ def discrepancy_verb(args) -> int:
     refuse_repeated(args.bags, args.holdout)
     _options_of(args)
     if args.each:
-        found = each_bag.run_each(args, ask_bag, *items_of(args), discrepancy_text)
+        _models_of(args, load_robot(args.robot))  # says now what is wrong with them
+        found = each_bag.run_each(args, ask_bag, discrepancy_text)
         return int(any(values.get('verdict') != COMPLETE for values in found.values()))
-    if args.workers is not None or args.scheduler is not None:
-        raise ConfigError(each_bag.ONLY_WITH_EACH)
     result, compared, holdout = _answered(args)
     values = _write_files(result, compared, holdout, args)
     return _printed(result, compared, values, args)
@@ -86,12 +80,11 @@ def _looped(args, robot, recordings, search):
     return with_closed_loop(search(), recordings, gains)
 
 
-def _write_files(result, compared, holdout, args, becomes=None):
+def _write_files(result, compared, holdout, args):
     out = Path(args.out)
     values = files.report_values(result, holdout=args.holdout, models=compared)
     earlier = _earlier(out)
-    written = write_discrepancy_report(result, out, holdout=holdout, models=compared,
-                                       becomes=becomes)
+    written = write_discrepancy_report(result, out, holdout=holdout, models=compared)
     if result.robot is not None:
         files.write_robot(result, out / 'robot.yaml')
         written.append(out / 'robot.yaml')
@@ -165,32 +158,9 @@ def _progress(args):
     return (lambda text: None) if args.json else lambda text: say(f'  {text} ...')
 
 
-def items_of(args) -> tuple[dict, str]:
-    """Return the items of a batch by key, and what their results depend on beside the bag."""
-    robot = load_robot(args.robot)  # says now what is wrong with it
-    _models_of(args, robot)
-    if args.controller:
-        load_controller(args.controller, robot)
-    options = {name: getattr(args, name) for name in (
-        *_FILES, 'max_effects', 'without', 'learn', 'doubt', 'force')}
-    for name in _FILES:
-        options[name] = [os.path.abspath(path) for path in options[name]]
-    files_asked = [path for name in _FILES for path in options[name]]
-    items, asked = each_bag.items_of(args, options, (
-        sorted(options.items()), [(path, content_of(path)) for path in files_asked]))
-    folders = {item.place.folder.resolve() for item in items.values()}
-    for file in files_asked:
-        if folders & set(Path(file).resolve().parents):
-            raise ConfigError(f'{file} lies in the folder of results of a bag, which may '
-                              'replace it; copy it elsewhere, or name another folder as --out')
-    return items, asked
-
-
-def ask_bag(item: each_bag.BagItem) -> dict:
-    """Ask the bag of a BagItem what the model lacks, write the results, return them (dict)."""
-    args = Namespace(**item.asked, bags=[item.place.bag], json=True)
+def ask_bag(args) -> dict:
+    """Ask the one bag of the arguments what the model lacks; write and return the results."""
+    _refuse_out(args.out, args)
     result, compared, holdout = _answered(args)
-    with each_bag.whole(item.place) as folder:
-        args.out = folder
-        _write_files(result, compared, holdout, args, item.place.folder)
+    _write_files(result, compared, holdout, args)
     return files.over_bags_values(result)

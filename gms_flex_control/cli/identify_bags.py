@@ -4,10 +4,8 @@
 """The verb `identify`: friction parameters from bags, together or each by itself."""
 
 from dataclasses import replace
-import os
 from pathlib import Path
 
-from gms_flex_control.batches import content_of
 from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
 from gms_flex_control.data.conditions import conditions_of, with_conditions
@@ -22,7 +20,6 @@ from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.reports import bags_summary
 from gms_flex_control.reports.answers import identification_answer, identification_text
 from gms_flex_control.reports.identification_page import write_identification_report
-from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_robot_to_identify
 
 
@@ -30,16 +27,11 @@ def identify_verb(args) -> int:
     """Identify, write and print; return 0, with --each 1 if a bag could not be identified."""
     refuse_unwritable(args.out)
     refuse_repeated(args.bags, args.holdout)
+    options = _options_of(args)
     if args.each:
-        found = each_bag.run_each(args, identify_bag, *items_of(args),
-                                  bags_summary.identification_text)
+        found = each_bag.run_each(args, identify_bag, bags_summary.identification_text)
         return int(any(values['reason'] is not None for values in found.values()))
-    if args.workers is not None or args.scheduler is not None:
-        raise ConfigError(each_bag.ONLY_WITH_EACH)
-    robot, options, out = _robot_of(args), _options_of(args), Path(args.out)
-    found = _identified(args.bags, args.holdout, robot, options, args.robot is not None,
-                        say=(lambda _: None) if args.json else say)
-    _write_results(found, out, args.robot or ())
+    found, out = _written(args, options, (lambda _: None) if args.json else say), Path(args.out)
     if args.json:
         print(as_json(output.report_json(found)))
         return 0
@@ -51,18 +43,23 @@ def identify_verb(args) -> int:
     return 0
 
 
-def _identified(bags, holdouts, robot, options, described, **further):
-    """Return the Identification of bags fitted together; ``further`` as that of `identify`."""
+def identify_bag(args) -> dict:
+    """Identify the one bag of the arguments and write its results; return `bag_values` (dict)."""
+    return output.bag_values(_written(args, _options_of(args), lambda _: None))
+
+
+def _written(args, options, progress):
+    """Return the Identification of the bags fitted together, its files written to --out."""
+    robot, described = _robot_of(args), args.robot is not None
     recordings, apart = ([read_experiment_of(path, robot, not described) for path in paths]
-                         for paths in (bags, holdouts))
-    found = identify(recordings, robot, holdouts=apart, options=options, **further)
-    return replace(found, described=described)
-
-
-def _write_results(found, out, robot=(), becomes=None):
+                         for paths in (args.bags, args.holdout))
+    found = replace(identify(recordings, robot, holdouts=apart, options=options, say=progress),
+                    described=described)
+    out = Path(args.out)
     output.write_friction(found, out / 'friction.yaml')
     output.write_report_json(found, out / 'report.json')
-    write_identification_report(found, out, robot=robot, becomes=becomes)
+    write_identification_report(found, out, robot=args.robot or ())
+    return found
 
 
 def _options_of(args):
@@ -78,14 +75,9 @@ def _options_of(args):
 def _robot_of(args):
     """Return the robot of the arguments; without a file, rigid axes named as in the bag."""
     if args.robot is None:
-        return _robot_in(args.bags[0], args.joints)
+        return rigid_joints(args.joints or link_names(joint_names(args.bags[0])))
     robot = load_robot_to_identify(args.robot)
     return only_joints(robot, args.joints) if args.joints else robot
-
-
-def _robot_in(bag, joints=None):
-    """Return rigid axes of unknown inertia, as many as the bag has links or ``joints`` name."""
-    return rigid_joints(joints or link_names(joint_names(bag)))
 
 
 def read_experiment_of(path, robot, guess_motors: bool = False) -> tuple:
@@ -109,24 +101,3 @@ def motors_in(path, robot) -> tuple[str, ...]:
     wanted = (motor or joint + MOTOR_SUFFIX
               for joint, motor in zip(robot.joints, robot.motors, strict=True))
     return tuple(motor if motor in names else '' for motor in wanted)
-
-
-def items_of(args) -> tuple[dict, str]:
-    """Return the items of a batch by key, and what their results depend on beside the bag."""
-    robot, options = None if args.robot is None else _robot_of(args), _options_of(args)
-    holdouts = tuple(os.path.abspath(path) for path in args.holdout)
-    asked = {'robot': robot, 'joints': tuple(args.joints or ()), 'holdouts': holdouts,
-             'options': options}
-    return each_bag.items_of(args, asked, (
-        robot and robot_values(robot), asked['joints'], options,
-        [(path, content_of(path)) for path in holdouts]))
-
-
-def identify_bag(item: each_bag.BagItem) -> dict:
-    """Identify the bag of a BagItem and write its results; return `bag_values` (dict)."""
-    bag, asked = item.place.bag, item.asked
-    found = _identified([bag], asked['holdouts'], asked['robot'] or _robot_in(
-        bag, asked['joints']), asked['options'], asked['robot'] is not None)
-    with each_bag.whole(item.place) as folder:
-        _write_results(found, folder, becomes=item.place.folder)
-    return {'reason': None, **output.bag_values(found)}

@@ -147,7 +147,7 @@ def _run_verb(args, seen):
               'duration or a lower rate', file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        return _interrupted(args.command, _goes_on(args))
+        return _interrupted(args.command)
     except BrokenPipeError:  # the reader, such as head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
@@ -157,7 +157,7 @@ def _run_verb(args, seen):
         return BAD_INPUT
     except Exception:  # noqa: B902  its exit code 1 would say what a finding says
         if seen:
-            return _interrupted(args.command, _goes_on(args))
+            return _interrupted(args.command)
         traceback.print_exc()
         print(f'{args.command}: this is an error of the program; please report it with the '
               'lines above', file=sys.stderr)
@@ -185,16 +185,9 @@ def _noted_interrupts():
             signal.signal(signal.SIGINT, before)
 
 
-def _goes_on(args):
-    """Return whether the journal of --out keeps what a verb has done so far (bool)."""
-    return hasattr(args, 'scheduler') and getattr(args, 'verify', 1) != 0 and (
-        getattr(args, 'each', True))
-
-
-def _interrupted(command, resumes=False):
-    """Say that Ctrl-C ended a command, and whether it goes on; return the exit code."""
-    further = '; the same command goes on where it was' if resumes else ''
-    print(f'{command}: interrupted{further}', file=sys.stderr)
+def _interrupted(command):
+    """Say that Ctrl-C ended a command; return the exit code."""
+    print(f'{command}: interrupted', file=sys.stderr)
     return INTERRUPTED
 
 

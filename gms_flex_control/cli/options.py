@@ -74,13 +74,8 @@ MOTORS = option('--motors', nargs='+', metavar='NAME', help='motor names in the 
 OUT_FILE = option('--out', metavar='FILE', help='default: print it')
 FORCE = option('--force', action='store_true', help='go on in spite of faults in the data')
 JSON = option('--json', action='store_true', help='print the result as JSON instead of text')
-SCHEDULER = option('--scheduler', metavar='ADDRESS',
-                   help='work on a running Dask cluster instead, such as tcp://host:8786 '
-                        "(pip install '.[dask]')")
-BATCH = (option('--workers', type=int, default=2, metavar='N',
-                help='processes of this machine (default: 2)'), SCHEDULER)
-BATCH_OF_EACH = (option('--workers', type=int, metavar='N',
-                        help='of --each: processes of this machine (default: 2)'), SCHEDULER)
+WORKERS = option('--workers', type=int, default=2, metavar='N',
+                 help='processes of this machine (default: 2)')
 
 
 def out_folder(what: str, default: str | None = None) -> Option:
@@ -93,8 +88,8 @@ def out_folder(what: str, default: str | None = None) -> Option:
 def each_bag(more: str = '') -> Option:
     """Return the option --each; its help ends with ``more``."""
     return option('--each', action='store_true',
-                  help='each bag by itself into DIR/NAME OF THE BAG, all side by side in '
-                       f'DIR/summary.json, summary.csv and spread.csv{more}')
+                  help='each bag by itself, --workers at once, into DIR/NAME OF THE BAG, all '
+                       f'side by side in DIR/summary.json{more}')
 
 
 def add_options(parser, options) -> None:

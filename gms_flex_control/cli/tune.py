@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 
 from gms_flex_control import __version__, results
-from gms_flex_control.batches import digest_of, fingerprint, run_kept
+from gms_flex_control.batches import run_batch
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError
@@ -18,7 +18,7 @@ from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.reports import tuning_page
 from gms_flex_control.reports.figures import save_figure
-from gms_flex_control.schema.build import controller_values, robot_values
+from gms_flex_control.schema.build import controller_values
 from gms_flex_control.schema.files import load_controller, load_robot, save_values
 from gms_flex_control.tuning import trial
 from gms_flex_control.tuning.linear_loop import Timing
@@ -26,8 +26,6 @@ from gms_flex_control.tuning.propose import Demands
 import numpy as np
 
 # what a simulated figure depends on
-SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
-           'tuning')
 
 
 def tune(args) -> int:
@@ -104,14 +102,11 @@ def _per_joint(name, values, n):
 
 
 def _verified(robot, gains, demands, intervals, args):
-    """Return the summary of the draws asked for; finished ones are kept in --out."""
+    """Return the summary of the draws asked for."""
     amplitude = np.full(robot.n_joints, args.amplitude)
     items = {f'draw {k}': trial.Drawn(robot, gains, demands.timing, amplitude, intervals,
                                       args.seed, k) for k in range(args.verify)}
-    digest = digest_of((robot_values(robot), controller_values(gains, robot.joints),
-                        demands.timing, args.amplitude, intervals, args.seed))
-    found = run_kept(trial.try_drawn, items, args, f'{fingerprint(SOURCES)} {digest}',
-                     'robots')
+    found = run_batch(trial.try_drawn, items, args.workers, 'robots')
     return trial.summary(list(found.values()))
 
 

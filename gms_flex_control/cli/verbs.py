@@ -5,8 +5,6 @@
 
 from gms_flex_control.cli.options import (
     BAG,
-    BATCH,
-    BATCH_OF_EACH,
     CONTROLLER,
     each_bag,
     FORCE,
@@ -20,6 +18,7 @@ from gms_flex_control.cli.options import (
     out_folder,
     ROBOT,
     Verb,
+    WORKERS,
 )
 from gms_flex_control.params.gains import COMPENSATIONS
 
@@ -162,8 +161,7 @@ _IDENTIFY = Verb(
     'import-csv. Writes friction.yaml, which plant and controller take as it is, report.json, '
     'report.html and pictures. Inertia, stiffness and gravity of the robot file are relied on '
     'unless --estimate all. With --each every bag is identified by itself, and each parameter is '
-    'compared over the bags; exit code 1 if a bag could not be identified; a killed run goes on '
-    'when started again with the same --out.', (
+    'compared over the bags; exit code 1 if a bag could not be identified.', (
         option('bags', nargs='+', metavar='BAG',
                help='bags of one robot, fitted together; with --each of any number'),
         each_bag(),
@@ -179,12 +177,11 @@ _IDENTIFY = Verb(
                help='numbers of Maxwell blocks to choose from'),
         option('--joints', nargs='+', metavar='NAME',
                help='joints to take from the bags; default: all of the robot'),
-        FORCE, JSON, *BATCH_OF_EACH),
+        FORCE, JSON, WORKERS),
     ('identify my_bag --robot robot.yaml --out results',
      'identify first second --robot robot.yaml --holdout third --out results',
      'identify my_bag --out results',
-     'identify bags/* --each --robot robot.yaml --workers 4 --out each',
-     'identify bags/* --each --robot robot.yaml --scheduler tcp://host:8786 --out /shared/each'))
+     'identify bags/* --each --robot robot.yaml --workers 4 --out each'))
 _DISCREPANCY = Verb(
     'discrepancy', 'discrepancy_of_bags.discrepancy_verb',
     'find what a model lacks, name it, add it, show the gap shrink',
@@ -192,8 +189,7 @@ _DISCREPANCY = Verb(
     'lacks, write them into DIR/robot.yaml, and show on held-out data how much better it '
     'predicts: report.json, report.html, pictures. Exit codes: 0 nothing is missing, 1 effects '
     'were found or something is unexplained, 2 the data or the input are bad. With --each every '
-    'bag is analysed by itself, and names are counted over the bags; a killed run goes on when '
-    'started again with the same --out.', (
+    'bag is analysed by itself, and names are counted over the bags.', (
         option('bags', nargs='+', metavar='BAG', help='bags of one robot'),
         each_bag('; exit code 1 also where the data of a bag are bad'),
         option('--robot', metavar='FILE', nargs='+', required=True,
@@ -218,7 +214,7 @@ _DISCREPANCY = Verb(
         option('--controller', nargs='+', default=[], metavar='FILE',
                help='the controller that drove the robot while it believed --robot: its closed '
                     'loop is simulated along the recorded /reference, too'),
-        FORCE, JSON, *BATCH_OF_EACH),
+        FORCE, JSON, WORKERS),
     ('discrepancy my_bag --robot robot.yaml --out results',
      'discrepancy my_bag --robot robot.yaml friction.yaml --holdout another_bag --out results',
      'discrepancy bags/* --each --robot robot.yaml --workers 4 --out each'))
@@ -332,7 +328,7 @@ _TUNE = Verb(
                help='report.json of gms_flex identify: draw from its intervals; what has none: '
                     'friction and M 30 %%, K 20 %%'),
         option('--seed', type=int, default=0, metavar='N', help='of the draws'),
-        *BATCH, out_folder('controller.yaml, tuning.json, tuning.png, journal of --verify'),
+        WORKERS, out_folder('controller.yaml, tuning.json, tuning.png'),
         JSON),
     ('tune --out tuned',
      'tune --robot robot.yaml results/friction.yaml --torque-limit 2 --delay 1 --verify 200 '
@@ -343,8 +339,7 @@ _COMPARE = Verb(
     '(of the paper, improved, of the desired motion, adaptive) and a disturbance observer. On a '
     'plant (a robot file) each drives it in simulation, also with friction, K and M that differ '
     'from the belief, with coarse and fine encoders, and at other rates. Along a bag they predict '
-    'the friction torque, fitted to its first part and judged on the rest. A killed run goes on '
-    'when started again with the same --out.', (
+    'the friction torque, fitted to its first part and judged on the rest.', (
         option('source', nargs='*', metavar='BAG|PLANT',
                help='a bag, or robot files, later ones winning; default: --robot'),
         option('--robot', nargs='+', metavar='FILE',
@@ -361,7 +356,7 @@ _COMPARE = Verb(
         option('--seed', type=int, metavar='N', least=0, help='of a plant: of the draws'),
         option('--fit', type=float, metavar='SHARE', least=0.05, most=0.95,
                help=f'of a bag: its first part, that is fitted (default: {OF_A_BAG["fit"]:g})'),
-        *BATCH, out_folder('report.html, comparison.json, journal', 'comparison'), JSON),
+        WORKERS, out_folder('report.html, comparison.json', 'comparison'), JSON),
     ('compare', 'compare robot.yaml --controller tuned/controller.yaml --out comparison',
      'compare robot.yaml results/friction.yaml --draws 20',
      'compare my_bag --robot robot.yaml --controller tuned/controller.yaml --out along_bag'))

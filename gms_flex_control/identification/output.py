@@ -36,11 +36,6 @@ REPORT_FORMAT = 1
 _COMMENT_WIDTH = 90
 # times what is usual: intervals know nothing of what a model lacks, nor of other days
 _LEAST_TOLD, _MOST_TOLD = 0.5, 4.0
-_NORMAL = 1.4826       # standard deviation over median distance from the median
-_FAR = 3.5             # such deviations: an outlier
-_FEWEST = 4            # of three values that differ nobody knows which is the odd one
-# by how much the median distance of few values is too small (Croux and Rousseeuw, 1992)
-_FEW = {4: 1.363, 5: 1.206, 6: 1.200, 7: 1.140, 8: 1.129, 9: 1.107}
 
 
 def report_json(identification: Identification) -> dict:
@@ -155,10 +150,8 @@ class OverBags(NamedTuple):
     unit: str
     bags: int                  # that identify it: neither set nor flagged as not identifiable
     mean: float
-    median: float
     standard_deviation: float  # over the bags; NaN for one
     foreseen: float            # standard deviation by the intervals of the bags
-    outliers: tuple            # names of bags
 
 
 def bag_values(identification: Identification) -> dict:
@@ -233,22 +226,7 @@ def _usual_blocks(bags):
 def _row(name, unit, rows):
     values = np.array([one['value'] for one in rows.values()])
     errors = np.array([0.5 * (one['high'] - one['low']) for one in rows.values()]) / CONFIDENT
-    far = is_outlier(values, errors)
     return OverBags(
-        name, unit, len(values), float(values.mean()), float(np.median(values)),
+        name, unit, len(values), float(values.mean()),
         float(values.std(ddof=1)) if len(values) > 1 else float('nan'),
-        float(np.sqrt(np.mean(errors ** 2))),
-        tuple(bag for bag, out in zip(rows, far, strict=True) if out))
-
-
-def is_outlier(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """
-    Return which values (B,) lie farther from the others than scatter and own error explain.
-
-    ``errors`` (B,) are standard errors; of fewer than four values none.
-    """
-    if len(values) < _FEWEST:
-        return np.zeros(len(values), dtype=bool)
-    distance = np.abs(values - np.median(values))
-    scatter = _NORMAL * _FEW.get(len(values), 1.0) * np.median(distance)
-    return distance > _FAR * np.hypot(scatter, errors)
+        float(np.sqrt(np.mean(errors ** 2))))

@@ -1,11 +1,9 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Bags identified or compared with a model each by itself, as text, JSON and CSV."""
+"""Bags identified or compared with a model each by itself, as text and JSON."""
 
 from collections import Counter
-import csv
-import io
 import math
 from pathlib import Path
 from textwrap import fill
@@ -18,7 +16,7 @@ from gms_flex_control.identification.output import is_identified
 _WIDTH = 96
 _COLUMNS = 4  # bags beside each other in text, at most
 _CLEAR = 2.0  # times the scatter that intervals predict: they differ from bag to bag
-_LINES = 20   # bags below each other, at most: the others are in summary.csv
+_LINES = 20   # bags below each other, at most: the others are in summary.json
 
 
 def summary(found, rows) -> dict:
@@ -34,43 +32,13 @@ def summary(found, rows) -> dict:
                             for name, value in row._asdict().items()} for row in rows]}
 
 
-def bags_csv(found) -> str:
-    """Return a line for each bag; empty where a parameter is not identified."""
-    good = [values for values in found.values() if values['reason'] is None]
-    verdicts = ['verdict'] if any('verdict' in values for values in good) else []
-    joints = list(dict.fromkeys(joint for values in good for joint in values.get('held_out', ())))
-    names = list(dict.fromkeys(one['name'] for values in good for one in values['estimates']))
-    lines = [['bag', 'reason', *verdicts, *(f'held_out.{joint}' for joint in joints), *names]]
-    for bag, values in found.items():
-        known = {one['name']: one['value'] for one in values.get('estimates', ())
-                 if is_identified(one)}
-        lines.append([bag, values['reason'], *map(values.get, verdicts),
-                      *map(values.get('held_out', {}).get, joints), *map(known.get, names)])
-    return _csv(lines)
-
-
-def spread_csv(rows) -> str:
-    """Return a line for each OverBags."""
-    return _csv([['parameter', 'unit', 'bags', 'mean', 'median', 'standard_deviation', 'foreseen',
-                  'outliers'],
-                 *([*row[:-1], ' '.join(row.outliers)] for row in rows)])
-
-
-def _csv(lines):
-    text = io.StringIO()
-    csv.writer(text, lineterminator='\n').writerows(
-        [['' if cell is None or cell != cell else cell for cell in line] for line in lines])
-    return text.getvalue()
-
-
 def identification_text(found, rows) -> str:
     """Return tables of parameters and bags, and in words which differ."""
     good = _good(found)
     parts = [f'{len(good)} of {len(found)} bags identified']
     if rows:
-        parts += [_parameters(rows, good), _not_estimated(rows, good), _differing(rows),
-                  _outliers(rows)]
-    parts += [_errors(good, rows), _reasons(found, 'NOT IDENTIFIED')]
+        parts += [_parameters(rows, good), _not_estimated(rows, good), _differing(rows)]
+    parts += [_errors(good), _reasons(found, 'NOT IDENTIFIED')]
     return '\n\n'.join(filter(None, parts))
 
 
@@ -81,7 +49,7 @@ def discrepancy_text(found, rows) -> str:
     parts = [', '.join([f'{len(good)} of {len(found)} bags answered', *(
         f'{verdict} {count}' for verdict, count in verdicts.items())])]
     if rows:
-        parts += [_parameters(rows, good), _differing(rows), _outliers(rows)]
+        parts += [_parameters(rows, good), _differing(rows)]
     parts += [_findings(good), _reasons(found, 'BAD DATA')]
     return '\n\n'.join(filter(None, parts))
 
@@ -97,9 +65,7 @@ def over_bags_answer(found, rows, bags) -> Answer:
         sentence += (f'; {first.name.removeprefix("friction.")} differs most from bag to bag, by '
                      f'{_share(first)} % of its mean (one standard deviation), where the floor is '
                      'what the intervals of single bags predict')
-    counts = Counter(bag for row in rows for bag in row.outliers)
-    odd = next((name for name in (*found, *dict(counts.most_common()))
-                if name not in good or name in counts), None)
+    odd = next((name for name in found if name not in good), None)
     return Answer(f'{sentence}.', ('mean', 'std over bags', 'floor'), tuple(
         measured(f'{row.name.removeprefix("friction.")} [{row.unit}]', row.mean,
                  row.standard_deviation, row.foreseen, scale=1.0) for row in known), command(
@@ -117,7 +83,7 @@ def _findings(good):
     lines = [[bag, values['verdict'], ', '.join(
         [*values['effects'], *(f'{one} (minor)' for one in values['minor'])]) or '-']
         for bag, values in list(good.items())[:_LINES]]
-    more = f'\nand {len(good) - _LINES} more, see summary.csv' if len(good) > _LINES else ''
+    more = f'\nand {len(good) - _LINES} more, see summary.json' if len(good) > _LINES else ''
     return align(['bag', 'verdict', 'effects'], lines) + more
 
 
@@ -154,28 +120,15 @@ def _differing(rows):
                 f'predict: {", ".join(names)}', _WIDTH) if names else ''
 
 
-def _outliers(rows):
-    """Return which bags lie far from the others, and in what, the oddest first; '' if none."""
-    by_bag = {}
-    for row in rows:
-        for bag in row.outliers:
-            by_bag.setdefault(bag, []).append(row.name.removeprefix('friction.'))
-    oddest = sorted(by_bag.items(), key=lambda pair: -len(pair[1]))
-    return _first([fill(f'OUTLIER {bag}: {", ".join(names)}', _WIDTH, subsequent_indent='    ')
-                   for bag, names in oddest], 'spread.csv')
-
-
 def _first(lines, file):
     """Return lines, of many the first and where the others are."""
     more = [f'and {len(lines) - _LINES} more, see {file}'] if len(lines) > _LINES else []
     return '\n'.join(lines[:_LINES] + more)
 
 
-def _errors(good, rows):
-    """Return the held-out errors of bags: of all, or of many only the outliers."""
-    shown = list(good)
-    if len(good) > _LINES:
-        shown = list(dict.fromkeys(bag for row in rows for bag in row.outliers))[:_LINES]
+def _errors(good):
+    """Return the held-out errors of bags, of many those of the first."""
+    shown = list(good)[:_LINES]
     if not shown:
         return ''
     lines = [[bag, joint, _percent(error), _percent(good[bag]['coulomb_viscous'][joint])]
@@ -193,4 +146,4 @@ def _reasons(found, heading):
     return _first([fill(f'{heading} {name}: {values["reason"]}', _WIDTH, subsequent_indent='    ',
                         break_long_words=False, break_on_hyphens=False)
                    for name, values in found.items() if values['reason'] is not None],
-                  'summary.csv')
+                  'summary.json')

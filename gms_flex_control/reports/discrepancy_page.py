@@ -26,15 +26,15 @@ TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
 MOST_PICTURES = 8     # findings with a picture and a chart of their own
 
 
-def write_discrepancy_report(result, folder, *, holdout=(), models=(), becomes=None) -> list:
+def write_discrepancy_report(result, folder, *, holdout=(), models=()) -> list:
     """
     Write report.html and the PNGs of a Discrepancy to a folder; return the paths, the page first.
 
     Free runs are shown on the first of ``holdout`` (Recordings that took no part); ``models``
-    (Compared) are listed beside it; ``becomes`` is the folder's name if it is renamed afterwards.
+    (Compared) are listed beside it.
     """
     folder = Path(folder)
-    report = Report(TITLES[result.verdict], discrepancy_answer(result, becomes or folder),
+    report = Report(TITLES[result.verdict], discrepancy_answer(result, folder),
                     ', '.join(result.data.sources), units_of(result))
     pictures = add_discrepancy(report, result, folder, holdout=holdout, models=models)
     return [report.write(folder / 'report.html'), *pictures]

@@ -33,17 +33,15 @@ _SYMBOLS = {'static': 'F_s', 'coulomb': 'F_c', 'velocity': 'v_s', 'viscous': 'σ
 _BLOCK_SYMBOLS = {'stiffness': 'k', 'weight': 'α'}
 
 
-def write_identification_report(identification, folder, *, beside=None, robot=(),
-                                becomes=None) -> list:
+def write_identification_report(identification, folder, *, beside=None, robot=()) -> list:
     """
     Write report.html and the PNGs to a folder; return their paths, the page first.
 
     ``beside`` (RobotParams) is friction known otherwise, such as that of a simulated plant, drawn
-    and listed as true; ``robot`` are the files of the robot that was believed; ``becomes`` is the
-    folder's name if it is renamed afterwards.
+    and listed as true; ``robot`` are the files of the robot that was believed.
     """
     folder, words = Path(folder), identification.in_units
-    answer = identification_answer(identification, becomes or folder, robot)
+    answer = identification_answer(identification, folder, robot)
     report = Report('Friction identification', answer, data_sentence(identification), words)
     worst = worst_joint(identification)
     _add_map(report, worst, _known_curves(worst, beside)[0])
