@@ -14,7 +14,7 @@ pytestmark = pytest.mark.fast
 
 ROOT = Path(__file__).resolve().parents[1]
 OF_BENCH = tuple(verb for group in bench.GROUPS.values() for verb in group)
-BAGS = {'info': '', 'repair': '', 'paper-method': '', 'analyse': '--out {dir}',
+BAGS = {'info': '', 'paper-method': '', 'analyse': '--out {dir}',
         **dict.fromkeys(('identify', 'discrepancy'), '--robot {robot} --out {dir}')}
 # what is wrong with the input of a verb that takes no bag
 WRONG = {

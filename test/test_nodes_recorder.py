@@ -42,7 +42,7 @@ def test_a_signal_closes_the_bag_and_exits_0(lab, tmp_path, number, options):
     last = stamp_of(lab.more(lab.heard, 200)[-1])
     assert recorder.signal(number) == 0
     summary = summarise(tmp_path / 'bag')
-    assert summary.complete and summary.checksums == 'hold'
+    assert summary.complete
     assert f'{tmp_path / "bag"}: {summary.count} messages\n' in recorder.printed()
     stamps = [unpack_joint_state(data)[0] for batch in Bag(tmp_path / 'bag').batches()
               for topic, _, _, data in batch if topic == STATES]

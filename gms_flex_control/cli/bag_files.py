@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The verbs on bag files: `info`, `record`, `repair`."""
+"""The verbs on bag files: `info`, `record`."""
 
 from dataclasses import asdict
 import json
@@ -15,15 +15,7 @@ def info(args) -> int:
     from gms_flex_control.data.inspection import summarise
     summary = summarise(args.bag)
     print(json.dumps(asdict(summary), indent=2) if args.json else summary.text())
-    return 0 if summary.sound else 1
-
-
-def repair(args) -> int:
-    """Repair a bag and print what was done; return 0, or 1 if messages were lost."""
-    from gms_flex_control.data.inspection import repair_bag
-    result = repair_bag(args.bag, args.out)
-    print(json.dumps(asdict(result), indent=2) if args.json else result.text())
-    return 0 if result.lost == 0 else 1
+    return int(bool(summary.damage))
 
 
 def record(args) -> int:

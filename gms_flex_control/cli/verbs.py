@@ -34,8 +34,7 @@ _EFFECTS = Verb(
 _RECORD = Verb(
     'record', 'bag_files.record', 'record topics into a bag',
     'Record topics, each as soon as it has a publisher, until Ctrl-C, SIGTERM or --duration. At '
-    'most 0.2 s are lost if the recorder is killed; "gms_flex repair" then completes the bag. '
-    'Exit code 1 if nothing was received.', (
+    'most 0.2 s are lost if the recorder is killed. Exit code 1 if nothing was received.', (
         OneOf((option('--topics', nargs='+', metavar='TOPIC', help='what to record'),
                option('--all', action='store_true', help='every topic that is not hidden'))),
         out_folder('the bag to be made'),
@@ -44,12 +43,6 @@ _RECORD = Verb(
     ('record --all --out my_bag',
      'record --topics /joint_states /effort_controller/commands /reference --duration 60 --out '
      'my_bag'))
-_REPAIR = Verb(
-    'repair', 'bag_files.repair', 'recover a killed, cut off or damaged bag',
-    'Write every sound message of a bag to a new one, name what is lost. The old bag is not '
-    'touched. Exit code 1 if messages were lost.',
-    (BAG, option('--out', metavar='DIR', help='the new bag (default: BAG_repaired)'), JSON),
-    ('repair my_bag', 'repair my_bag/my_bag_0.mcap --out mended'))
 _ANALYSE = Verb(
     'analyse', 'recordings.analyse', "the paper's Table 4 and a report from bags",
     'Compare bags of one robot with and without friction compensation: table4.json, report.html '
@@ -125,7 +118,7 @@ _IMPORT_CSV = Verb(
     ('import-csv rec_A.csv --map import_kr300.yaml --out kr300',
      'import-csv log.csv --map my_map.yaml --resample 500 --out log_bag'))
 _INFO = Verb(
-    'info', 'bag_files.info', 'topics, rates, gaps, joints and checksums of a bag',
+    'info', 'bag_files.info', 'topics, rates, gaps and joints of a bag',
     'Read a whole bag and list what is in it. Exit code 1 if messages are lost or damaged.',
     (BAG, JSON), ('info my_bag', 'info my_bag --json'))
 _VIEW = Verb(
@@ -383,4 +376,4 @@ GROUPS = {
         _IMPORT_CSV, _INFO, _VIEW, _IDENTIFY, _DISCREPANCY, _NEXT, _PLAN, _SIMULATE, _TUNE,
         _COMPARE, _EXPORT),
     'beside these': (
-        _EFFECTS, _RECORD, _REPAIR, _ANALYSE, _CHECK_GAINS, _URDF, _DEMO, _COMPLETION)}
+        _EFFECTS, _RECORD, _ANALYSE, _CHECK_GAINS, _URDF, _DEMO, _COMPLETION)}

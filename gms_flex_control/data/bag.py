@@ -13,8 +13,7 @@ import tempfile
 import warnings
 
 from gms_flex_control.data import metadata
-from gms_flex_control.data.mcap_file import Damage, McapFile, StorageFile, Topic
-from gms_flex_control.data.metadata import Definition
+from gms_flex_control.data.mcap_file import McapFile, StorageFile
 from gms_flex_control.data.recording import Topics
 from gms_flex_control.errors import BagError
 import zstandard
@@ -24,10 +23,6 @@ _HEADER = b'SQLite format 3\0'
 
 class SqliteFile(StorageFile):
     """One db3 file, read with the journal or log beside it; nothing is changed."""
-
-    def __init__(self, path, original=None):
-        super().__init__(path, original)
-        self.unchecked = 1
 
     def batches(self, only=None) -> Iterator:
         """Yield the messages as `StorageFile` says, in the order they were written."""
@@ -46,7 +41,7 @@ class SqliteFile(StorageFile):
                 with closing(sqlite3.connect(location, uri=True)) as database:
                     yield from self._read(database)
             except sqlite3.Error as error:
-                self._damaged('', f'cannot be read ({error})', None)
+                self.damage.append(f'{self.label}: cannot be read whole ({error})')
         self.complete = not self.damage
 
     def _settled(self, folder):
@@ -63,19 +58,13 @@ class SqliteFile(StorageFile):
 
     def _read(self, database):
         names = self._read_topics(database)
-        rows = database.execute('SELECT id, topic_id, timestamp, data FROM messages ORDER BY id')
-        last, batch = 0, []
-        try:
-            for row in rows:
-                last = row[0]
-                batch.append(row[1:])
-                if len(batch) == 2000:
-                    yield self._named(batch, names)
-                    batch = []
-        except sqlite3.Error as error:
-            yield self._named(batch, names)
-            yield self._named(self._behind(database, last, error), names)
-            return
+        rows = database.execute('SELECT topic_id, timestamp, data FROM messages ORDER BY id')
+        batch = []
+        for row in rows:
+            batch.append(row)
+            if len(batch) == 2000:
+                yield self._named(batch, names)
+                batch = []
         yield self._named(batch, names)
 
     def _named(self, rows, names):
@@ -84,44 +73,15 @@ class SqliteFile(StorageFile):
                 if topic in names and isinstance(data, bytes) and len(data) >= 4
                 and isinstance(time, int) and time >= 0]
         if len(good) < len(rows):
-            self._damaged('', 'rows that are no messages', len(rows) - len(good))
+            self.damage.append(f'{self.label}: {len(rows) - len(good)} rows are no messages')
         self.found += len(good)
         return good if self._only is None else [row for row in good if row[0] in self._only]
 
-    def _behind(self, database, last, error):
-        """Return the rows behind a damaged page, asked for one by one, and count the others."""
-        rows, lost = [], 0
-        try:
-            end, = database.execute('SELECT max(id) FROM messages').fetchone()
-        except sqlite3.Error:
-            end, lost = last, None
-        for number in range(last + 1, end + 1):
-            try:
-                rows += database.execute('SELECT topic_id, timestamp, data FROM messages '
-                                         'WHERE id = ?', (number,)).fetchall()
-            except sqlite3.Error:
-                lost += 1
-        self._damaged(f'after row {last}', str(error), lost)
-        return rows
-
     def _read_topics(self, database):
-        definitions = {}
-        if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"
-                            ).fetchone():
-            for type_name, encoding, text in database.execute(
-                    'SELECT topic_type, encoding, encoded_message_definition '
-                    'FROM message_definitions'):
-                definitions[type_name] = encoding, text
         names = {}
-        cursor = database.execute('SELECT * FROM topics')
-        columns = [column[0] for column in cursor.description]
-        for row in cursor.fetchall():
-            row = dict(zip(columns, row, strict=True))
-            encoding, text = definitions.get(row['type'], ('ros2msg', ''))
-            described = Definition(text, row.get('type_description_hash', ''), encoding)
-            names[row['id']] = row['name']
-            self.topics.setdefault(row['name'], Topic(
-                row['name'], row['type'], described, row.get('offered_qos_profiles')))
+        for number, name, type_name in database.execute('SELECT id, name, type FROM topics'):
+            names[number] = name
+            self.topics.setdefault(name, type_name)
         return names
 
 
@@ -143,10 +103,9 @@ class Bag:
 
     def __init__(self, path):
         self.path = Path(path)
-        self.topics = {}  # Topics by name, those of the messages yielded so far
-        self.damage = []  # Damage: what failed a check
+        self.topics = {}  # types by name, those of the messages yielded so far
+        self.damage = []  # what cannot be read (str)
         self.notes = []   # what a reader should know though nothing failed (str)
-        self.checked = self.unchecked = 0  # parts whose checksum was compared, or that have none
         self.complete = False  # metadata and every file have their proper end
         self.metadata = None   # FolderMetadata, if metadata.yaml is there
         self._files = self._locate()
@@ -176,9 +135,8 @@ class Bag:
             files += [path for path in present if path not in files]
         if not files:
             raise BagError(f'{self.path}: holds no .mcap or .db3 file; it is no bag')
-        missing = [path.name for path in files if not path.is_file()]
-        for name in missing:
-            self.damage.append(Damage(f'{self.path.name}: {name}', 'is missing', None))
+        self.damage += [f'{self.path.name}: {path.name} is missing'
+                        for path in files if not path.is_file()]
         return [path for path in files if path.is_file()]
 
     def batches(self, only=None) -> Iterator:
@@ -201,29 +159,12 @@ class Bag:
             found += storage.found
             self.damage += storage.damage
             self.notes += storage.notes
-            self.checked += storage.checked
-            self.unchecked += storage.unchecked
             whole = whole and storage.complete
-        self._compare(found)
+        if self.metadata and self.metadata.count > found and not self.damage:
+            self.damage.append(f'{self.path.name}: metadata.yaml announces {self.metadata.count} '
+                               f'messages, {found} were found')
         self.complete = whole and not self.damage and (
             self.path.is_file() or (self.metadata is not None and self.metadata.count == found))
-
-    def type_of(self, topic) -> str:
-        """Return the type of a topic met so far, '' where there is no such (str)."""
-        return self.topics[topic].type_name if topic in self.topics else ''
-
-    def _compare(self, found):
-        announced = self.metadata.count if self.metadata else 0
-        lost = [item.lost for item in self.damage]
-        missing = announced - found - sum(count or 0 for count in lost)
-        if missing > 0:
-            for item in self.damage:
-                if item.lost is None:
-                    item.lost, missing = missing, 0
-            if missing:
-                self.damage.append(Damage(
-                    self.path.name, f'metadata.yaml announces {announced} messages, '
-                    f'{found} were found', missing))
 
     def _plain(self, path, stack):
         """Return an uncompressed file with the content of ``path``."""
@@ -235,17 +176,12 @@ class Bag:
             with open(path, 'rb') as packed, open(plain, 'wb') as out:
                 zstandard.ZstdDecompressor().copy_stream(packed, out)
         except (zstandard.ZstdError, OSError) as error:
-            self.damage.append(Damage(path.name, f'cannot be unpacked whole ({error})', None))
+            self.damage.append(f'{path.name}: cannot be unpacked whole ({error})')
         return plain
 
-    @property
-    def sound(self) -> bool:
-        """Return whether no message is known or feared to be lost."""
-        return all(item.lost == 0 for item in self.damage)
-
     def warn(self) -> None:
-        """Issue every note, and damage that cost no message, as a BagWarning."""
-        for text in [*self.notes, *(str(item) for item in self.damage if item.lost == 0)]:
+        """Issue all damage and every note as a BagWarning."""
+        for text in (*self.damage, *self.notes):
             warnings.warn(text, BagWarning, stacklevel=3)
 
 

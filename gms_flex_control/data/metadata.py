@@ -29,7 +29,6 @@ class Definition(NamedTuple):
 
     text: str       # the ros2msg text with its dependencies
     type_hash: str  # RIHS01_...
-    encoding: str = 'ros2msg'
 
 
 @lru_cache(maxsize=1)
@@ -176,7 +175,6 @@ class FolderMetadata(NamedTuple):
     """What of a metadata.yaml matters for reading."""
 
     files: tuple          # names relative to the folder
-    storage: str
     count: int            # messages announced; 0 as long as the recorder runs
     custom: dict
     topics: tuple         # names
@@ -187,13 +185,13 @@ def load(path) -> FolderMetadata:
     try:
         info = read_yaml(path, 'safe', LARGEST)['rosbag2_bagfile_information']
         return FolderMetadata(tuple(str(name) for name in info['relative_file_paths']),
-                              str(info['storage_identifier']), int(info['message_count']),
+                              int(info['message_count']),
                               dict(info.get('custom_data') or {}), _topic_names(info))
     except (OSError, UnicodeDecodeError, YAMLError, KeyError, TypeError, ValueError,
             AttributeError) as error:
         reason = ' '.join(str(error).split())[:120]
         raise BagError(f'{path}: is no metadata of a bag ({type(error).__name__}: {reason}); '
-                       f"run 'gms_flex repair {path.parent}' to write it anew") from error
+                       "the bag's files are read without it") from error
 
 
 def _topic_names(info):

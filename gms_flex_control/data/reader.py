@@ -49,8 +49,8 @@ def read_recording(path, joints: Sequence[str] | None = None, motors: Sequence[s
     -------
     Recording
         Sampled at the joint states; the command of a state is the one that carries its stamp, the
-        reference that of the same time. BagError if the bag is damaged, or lacks the joint states,
-        a joint or a length that fits; BagWarning if it was cut off or otherwise odd.
+        reference that of the same time. BagError if the bag lacks the joint states, a joint or a
+        length that fits; BagWarning if it was cut off, is damaged or otherwise odd.
 
     """
     return read_beside(path, joints, motors, topics=topics)[0]
@@ -69,16 +69,13 @@ def read_beside(path, joints=None, motors=None, *, topics=None, aside=()) -> tup
     further = {space + name: [] for name in aside}
     series = Series(bag, topics, joints, motors)
     series.collect(further)
-    if not bag.sound:
-        first = next(item for item in bag.damage if item.lost != 0)
-        raise BagError(f"{path}: {first}; run 'gms_flex repair {path}' to keep the rest")
     series.require_names()
     bag.warn()
     joints, motors = series.resolved()
     series.note_others(joints, motors)
     begin, columns = _columns(path, series, motors)
     return (Recording(joints=joints, source=str(path), **columns), begin,
-            {name: Aside(space + name, bag.type_of(space + name), further[space + name])
+            {name: Aside(space + name, bag.topics.get(space + name, ''), further[space + name])
              for name in aside})
 
 
@@ -178,9 +175,9 @@ def _decode_blocks(bag, tables, waiting, n, least):
         if len(messages) < least:
             continue
         if topic not in tables:
-            if bag.topics[topic].type_name != cdr.MULTI_ARRAY:
+            if bag.topics[topic] != cdr.MULTI_ARRAY:
                 raise BagError(f'{bag.path}: topic {topic!r} is a '
-                               f'{bag.topics[topic].type_name}, expected {cdr.MULTI_ARRAY}')
+                               f'{bag.topics[topic]}, expected {cdr.MULTI_ARRAY}')
             tables[topic] = _block_table(bag.path, topic, messages[0], n)
         tables[topic].add(times, messages)
         times.clear()

@@ -140,10 +140,10 @@ class Series:
         for topic, type_name in zip(self.topics, _TYPES, strict=True):
             if not self._has_type(topic, type_name):
                 raise BagError(f'{self._path}: topic {topic!r} is a '
-                               f'{self._bag.type_of(topic)}, expected {type_name}')
+                               f'{self._bag.topics.get(topic)}, expected {type_name}')
 
     def _has_type(self, topic, type_name):
-        return topic not in self._bag.topics or self._bag.type_of(topic) == type_name
+        return topic not in self._bag.topics or self._bag.topics.get(topic) == type_name
 
     def _decode(self, least):
         """Decode the topics of which ``least`` messages wait, once the joints are known."""

@@ -96,25 +96,23 @@ class BagWriter:
         except OSError as error:
             raise self._failure(error) from error
 
-    def add_topic(self, name, type_name, *, described=None, qos=None, save=True) -> None:
+    def add_topic(self, name, type_name, *, qos=None, save=True) -> None:
         """
         Announce a topic and its type; one that is there already stays as it is.
 
-        ``described`` is its Definition where the caller knows better than the installed packages,
-        ``qos`` the YAML text of the offered profiles; ``save`` writes metadata.yaml anew.
+        ``qos`` is the YAML text of the offered profiles; ``save`` writes metadata.yaml anew.
         """
         if name in self._channels:
             return
         if not name.startswith('/'):
             raise BagError(f'{self.path}: topic {name!r} has no leading slash; write /{name}')
-        described = described or definition(type_name)
+        described = definition(type_name)
         qos = metadata.qos_profile() if qos is None else qos
-        key = (type_name, described.text)
-        if key not in self._schemas:
-            self._schemas[key] = self._mcap.register_schema(
-                type_name, described.encoding, described.text.encode())
+        if type_name not in self._schemas:
+            self._schemas[type_name] = self._mcap.register_schema(
+                type_name, 'ros2msg', described.text.encode())
         number = self._mcap.register_channel(
-            name, 'cdr', self._schemas[key],
+            name, 'cdr', self._schemas[type_name],
             {'offered_qos_profiles': qos, 'topic_type_hash': described.type_hash})
         self._channels[name] = number, metadata.TopicEntry(
             name, type_name, described.type_hash, qos, 0)
@@ -122,9 +120,9 @@ class BagWriter:
         if save:
             self._save_metadata()
 
-    def write(self, topic, time_ns, data, publish_ns=None) -> None:
+    def write(self, topic, time_ns, data) -> None:
         """
-        Write one CDR message of an announced topic, received and sent at the times given [ns].
+        Write one CDR message of an announced topic, received at a time [ns].
 
         BagError if the topic was not announced or the disk refuses.
         """
@@ -137,8 +135,7 @@ class BagWriter:
             raise BagError(f'{self.path}: {topic} has the time {time_ns} ns; '
                            'a bag holds none before 1970')
         try:
-            self._mcap.add_message(channel, time_ns, data,
-                                   time_ns if publish_ns is None else publish_ns,
+            self._mcap.add_message(channel, time_ns, data, time_ns,
                                    self.counts[topic] & 0xFFFFFFFF)
         except OSError as error:
             self._broken = True
@@ -178,7 +175,7 @@ class BagWriter:
 
     def _close(self):
         if self._broken:
-            # the disk refused: what is on it is a bag without its end, which repair completes
+            # the disk refused: what is on it is a bag without its end
             self._release()
             self._save_metadata()
             return
@@ -220,7 +217,7 @@ class BagWriter:
 
     def _failure(self, error):
         kept = '' if self._atomic or self._stream is None else (
-            f'; what was flushed is kept, see it with gms_flex repair {self.path}')
+            '; what was flushed is kept and can be read')
         return BagError(f'{self.path}: cannot be written ({error.strerror or error}){kept}')
 
 
