@@ -148,9 +148,8 @@ FAULTS = {
     'short': ('too_short', 'warn', lambda r: taken(r, np.arange(1000, 2700))),
     'clipped hard': ('saturated', 'warn', lambda r: clipped(r, 0.7)),
     'clipped': ('saturated', 'warn', lambda r: clipped(r, 0.95)),
-    'clock ahead': ('clock', 'refuse', lambda r: clock_set(r, 12.0, 1.0)),
-    'clock a little ahead': ('clock', 'refuse', lambda r: clock_set(r, 12.0, 0.1)),
-    'clock back': ('clock', 'refuse', lambda r: clock_set(r, 12.0, -0.0507)),
+    'clock ahead': ('dropped', 'warn', lambda r: clock_set(r, 12.0, 1.0)),
+    'clock back': ('clock', 'warn', lambda r: clock_set(r, 12.0, -0.0507)),
     'milliseconds': ('clock', 'refuse', lambda r: replace(r, time=1e3 * r.time)),
     '1 % dropped': ('dropped', 'warn', lambda r: dropped(r, 0.01)),
     '10 % dropped': ('dropped', 'warn', lambda r: dropped(r, 0.1)),
@@ -177,14 +176,11 @@ FAULTS = {
     'motor side torque': ('torque_scale', 'refuse', lambda r: changed(
         r, tau_motor=lambda u, t: u / 100)),
     'kN m': ('torque_scale', 'refuse', lambda r: changed(r, tau_motor=lambda u, t: u * 1e3)),
-    'joints exchanged': ('swapped_joints', 'refuse', lambda r: with_columns(r, [1, 0])),
-    'torques exchanged': ('swapped_joints', 'refuse', lambda r: with_columns(
+    'torques exchanged': ('swapped_torques', 'refuse', lambda r: with_columns(
         r, [1, 0], ('tau_motor',))),
     'other names': ('joint_names', 'refuse', lambda r: replace(r, joints=('a', 'b')))}
 SIDES = {
     'sides exchanged': ('swapped_sides', 'refuse', exchanged_sides),
-    'links exchanged': ('swapped_joints', 'refuse', lambda r: with_columns(
-        r, [1, 0], ('q_link', 'dq_link'))),
     'motor angle not reflected': ('side_scale', 'refuse', lambda r: changed(
         r, q_motor=lambda q, t: 50 * q, dq_motor=lambda v, t: 50 * v)),
     'motor angle reversed': ('side_scale', 'refuse', lambda r: changed(

@@ -5,7 +5,7 @@
 
 from pathlib import Path
 
-from gms_flex_control.data.csv_checks import unit_in_name
+from gms_flex_control.data.csv_import import unit_in_name
 from gms_flex_control.data.csv_map import canonical, load_map
 from gms_flex_control.errors import ImportDataError
 import pytest

@@ -37,7 +37,7 @@ def commanded(recording, factor=1.0):
                    tau_motor=np.full_like(recording.tau_motor, np.nan))
 
 
-@pytest.mark.parametrize('name', ['clock ahead', 'torques exchanged', 'motor angle reversed',
+@pytest.mark.parametrize('name', ['milliseconds', 'torques exchanged', 'motor angle reversed',
                                   'torque reversed'])
 def test_a_fault_that_forbids_a_fit_ends_the_run_in_its_words(name):
     recording, robot = wrong(name)
@@ -76,8 +76,8 @@ def test_a_channel_the_equations_need_is_asked_for(case):
 
 def test_a_fault_of_the_recording_held_out_counts_too(case):
     result = find_discrepancy([case.recording], case.nominal, holdout=[
-        ALL['clock ahead'][2](case.recording)])
-    assert result.verdict == BAD_DATA and 'clock' in result.words
+        ALL['milliseconds'][2](case.recording)])
+    assert result.verdict == BAD_DATA and 'another unit than seconds' in result.words
 
 
 @pytest.mark.parametrize('name', ['clipped hard', 'bursts repeated', '10 % dropped'])

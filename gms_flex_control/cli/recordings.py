@@ -17,6 +17,8 @@ from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
 from gms_flex_control.file_io import as_json, share_path, write_text
+from gms_flex_control.identification.assumed_robot import rigid_joints
+from gms_flex_control.identification.recording_checks import check
 from gms_flex_control.params.arm import in_currents
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.reports import recordings_page
@@ -32,19 +34,21 @@ def import_csv(args) -> int:
     if import_map.source:
         custom['source'] = import_map.source
     write_recording(args.out, log.recording, log.motors, custom=custom)
+    names = log.recording.joints
+    found = [one.text for one in check(log.recording, rigid_joints(names), rough=True)]
     currents = currents_in(import_map)
     if currents:
         write_text(Path(args.out) / NAME, 'torque_constant:  # N m per unit of effort\n' + ''.join(
             f'  {joint}: {UNKNOWN}\n' for joint in currents))
     if args.json:
         print(json.dumps({
-            'bag': str(args.out), 'joints': log.recording.joints, 'motors': log.motors,
+            'bag': str(args.out), 'joints': names, 'motors': log.motors,
             'samples': len(log.recording.time), 'duration': float(log.recording.time[-1]),
-            'remarks': log.remarks,
-            'suspicions': [suspicion._asdict() for suspicion in log.suspicions]}, indent=2))
+            'remarks': log.remarks, 'suspicions': found}, indent=2))
     else:
-        every = len(currents) == len(log.recording.joints)
-        print(f'{in_currents(log.summary()) if every else log.summary()}\nwritten to {args.out}')
+        lines = [log.summary(), *(f'  suspicious: {text}' for text in found)]
+        words = in_currents if len(currents) == len(names) else str
+        print(words('\n'.join([*lines, f'written to {args.out}'])))
     return 0
 
 

@@ -4,9 +4,10 @@
 """Turn other people's logs into recordings, and say what looks wrong in them."""
 
 from dataclasses import dataclass
+import re
 
-from gms_flex_control.data import csv_checks, csv_map
-from gms_flex_control.data.csv_map import load_map, POSITION_OF
+from gms_flex_control.data import csv_map
+from gms_flex_control.data.csv_map import canonical, load_map, POSITION_OF
 from gms_flex_control.data.csv_table import CsvTable
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import ImportDataError
@@ -19,11 +20,10 @@ class ImportedLog:
 
     recording: Recording  # in SI units, time from the first sample
     motors: tuple         # motor name per joint, '' where the joint is rigid
-    suspicions: tuple     # Suspicions; the data were taken as they are nevertheless
     remarks: tuple        # what the import itself did: estimates, rows left out, resampling
 
     def summary(self) -> str:
-        """Return a few lines of text: size, sampling, ranges, remarks and suspicions."""
+        """Return a few lines of text: size, sampling, ranges and remarks."""
         recording = self.recording
         steps = 1e3 * np.diff(recording.time)
         lines = [f'{recording.source}: {len(recording.time)} samples in '
@@ -36,7 +36,6 @@ class ImportedLog:
                       for name, values, unit in _quantities(recording)
                       if np.isfinite(values[:, i]).any()]
         lines += [f'  note: {remark}' for remark in self.remarks]
-        lines += [f'  suspicious: {suspicion.text}' for suspicion in self.suspicions]
         return '\n'.join(lines)
 
 
@@ -58,14 +57,12 @@ def import_csv(path, import_map, resample=None) -> ImportedLog:
     joints = [_joint_values(table, import_map, joint, time, keep, remarks)
               for joint in import_map.joints]
     remarks += _units_kept(import_map)
-    suspicions = csv_checks.suspicions(table, import_map, time, keep, joints)
-    remarks += csv_checks.torque_remarks(import_map, time, joints)
+    remarks += _units_doubted(import_map)
     rate = resample or import_map.resample
     if rate:
         time, joints = _resampled(time, joints, rate, remarks)
     return ImportedLog(_recording(str(path), import_map, time, joints),
-                       tuple(joint.motor for joint in import_map.joints),
-                       tuple(suspicions), tuple(remarks))
+                       tuple(joint.motor for joint in import_map.joints), tuple(remarks))
 
 
 def _time(table, import_map, remarks):
@@ -142,6 +139,47 @@ def _units_kept(import_map):
     if linear:
         yield (f'{", ".join(linear)}: linear axis, so read m for rad, N for N m and kg for '
                'kg m^2')
+
+
+def _units_doubted(import_map):
+    """Yield what is mapped in one unit, and named or meant in another."""
+    for joint in import_map.joints:
+        for name, channel in joint.channels.items():
+            named = unit_in_name(channel.column, channel.quantity) if isinstance(
+                channel.column, str) else None
+            if named and named != channel.unit and channel.unit not in ('pwm', 'A'):
+                yield (f'{joint.name}.{name} (column {channel.column!r}) is mapped as '
+                       f'{channel.unit!r} but its name says {named!r}')
+        slides = joint.channels['link_position'].unit in csv_map.LENGTH
+        for name in ('torque', 'command'):
+            channel = joint.channels.get(name)
+            if channel is None or slides == (channel.unit in csv_map.FORCE) or (
+                    csv_map.TORQUE[channel.unit] is None) or channel.gear_ratio != 1:
+                continue
+            yield (f'{joint.name}.{name} is in {channel.unit!r} beside a position in '
+                   f'{joint.channels["link_position"].unit!r}; ' + (
+                       'give the force at the slide: gear_ratio: 2 pi over the lead of the screw '
+                       '[rad/m]' if slides else 'give the torque: scale: the lever arm [m]'))
+
+
+def unit_in_name(column, quantity) -> str | None:
+    """
+    Return the unit a column's name such as ``'speed [rpm]'`` ends in, None if it has none.
+
+    Only units of ``quantity``, a key of ``UNITS``, are looked for.
+    """
+    text = column.strip().lower().replace('²', '2')
+    bracket = re.search(r'[\[(]\s*([^\])]*?)\s*[\])]\s*$', text)
+    parts = re.split(r'[_\s.]+', text)
+    candidates = [bracket.group(1)] if bracket else [
+        '_'.join(parts[-count:]) for count in (3, 2, 1) if len(parts) > count]
+    for candidate in candidates:
+        if candidate in ('m', 'n', 'a', 'ma') and not bracket:
+            continue  # q_m is rather the motor's angle than metres
+        for known in csv_map.UNITS[quantity]:
+            if canonical(candidate).lower() == known.lower():
+                return known
+    return None
 
 
 def _in_si(raw, channel, table, keep, place):

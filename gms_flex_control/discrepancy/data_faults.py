@@ -12,7 +12,7 @@ from gms_flex_control.identification.recording_checks import check
 from gms_flex_control.params.arm import carrying, why_not_carried
 import numpy as np
 
-_OF_TORQUE = ('swapped_joints', 'swapped_sides', 'torque_sign', 'torque_scale', 'unexplained')
+_OF_TORQUE = ('swapped_torques', 'swapped_sides', 'torque_sign', 'torque_scale', 'unexplained')
 
 
 def faults_of(recordings, robot) -> list:

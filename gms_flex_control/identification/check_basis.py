@@ -22,7 +22,6 @@ from gms_flex_control.data.signal_analysis import (
     smoothed,
 )
 from gms_flex_control.dynamics.chain import inverse_dynamics
-from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -60,7 +59,6 @@ UNEXPLAINED = 0.2               # of the variance: less than this is no fit at a
 # exchanged channels
 SIDE_FACTOR = 8.0               # torque of the spring over that of the motor that cannot be
 SIDE_SLOPE, SIDE_FIT = (0.5, 2.0), 0.9     # motor angle over link angle, correlation
-FITS, BETTER = 0.2, 0.25        # of the variance a joint may leave; of what it leaves unexchanged
 
 
 class Finding(NamedTuple):
@@ -135,22 +133,11 @@ def filtered(signals: Recording, robot: RobotParams) -> Motion:
     return result
 
 
-def rigid_torque(motion: Motion, arm: ArmParams, order=None) -> np.ndarray:
-    """
-    Return the torque (S, n) that moves the links, and the motors of rigid joints.
-
-    ``M(q) ddq + C dq + g`` as in dynamics.chain; with ``order`` the recorded joints stand for the
-    robot's in that order.
-    """
-    order = np.arange(arm.n_joints) if order is None else np.asarray(order)
-    return inverse_dynamics(*(values[:, order] for values in motion[:3]), arm)
-
-
 def total_torque(motion: Motion, robot: RobotParams) -> np.ndarray:
-    """Return the frictionless torque (S, n) at the motors."""
+    """Return the frictionless torque (S, n) at the motors, ``M(q) ddq + C dq + g`` and theirs."""
     inertia = np.where(robot.arm.rigid, 0.0, robot.arm.motor_inertia)
     motor = np.where(np.isfinite(motion.ddq_motor), motion.ddq_motor, motion.ddq_link)
-    return rigid_torque(motion, robot.arm) + inertia * motor
+    return inverse_dynamics(*motion[:3], robot.arm) + inertia * motor
 
 
 def spring_joints(robot: RobotParams, motion: Motion) -> list[int]:

@@ -9,7 +9,7 @@ kind                what is wrong
 ==================  =============================================================
 joint_names         a joint of the robot is not in the recording
 too_short           too few samples or seconds
-clock               stamps jump, are out of order or in another unit
+clock               stamps are uneven or in another unit
 dropped             samples are missing
 missing             channels, or parts of them, are no number
 angle_unit          angles are in degrees
@@ -19,7 +19,7 @@ jump                an angle jumps
 frozen              samples are repeated while a joint moves
 velocity            a velocity is not the derivative of its angle
 saturated           the torque is clipped while a joint moves
-swapped_joints      two joints are exchanged, as a whole or in some channels
+swapped_torques     the torques of two joints are exchanged
 swapped_sides       motor and link are exchanged
 side_scale          the motor angle has another scale or sign than the link's
 torque_sign         the torque is reversed

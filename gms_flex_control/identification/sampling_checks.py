@@ -16,8 +16,7 @@ from gms_flex_control.identification.check_basis import Finding, sides
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
-_GAP_BESIDE = 10                         # samples that give the velocity beside a gap
-_BESIDE = 5                              # likewise beside a run of equal samples
+_BESIDE = 5              # samples that give the velocity beside a run of equal ones
 
 
 def length(signals: Recording) -> list[Finding]:
@@ -41,78 +40,24 @@ def clock(signals: Recording) -> list[Finding]:
     multiple = np.rint(steps / period)
     steady = np.mean((np.abs(steps / period - multiple) < limits.ON_GRID) & (multiple > 0)) > 0.9
     gaps = np.flatnonzero(steps > (1.5 if steady else 1.8) * period)
-    jumps = np.array([k for k in gaps if steps[k] > 3 * period and _continues(signals, k)],
-                     dtype=int)
-    found = []
-    if jumps.size:
-        found.append(_jumped(signals, steps, jumps))
-    found += _short_steps(signals, steps, steady)
-    found += _lost(signals, steps, np.setdiff1d(gaps, jumps))
-    return found
-
-
-def _jumped(signals, steps, jumps):
-    worst = jumps[np.argmax(steps[jumps])]
-    return Finding('clock', '', 'refuse', f'{signals.source}: the clock jumps ahead '
-                   f'{jumps.size} times, most by {steps[worst]:.4g} s at '
-                   f'{signals.time[worst]:.3f} s, while the joints move on by one period only; '
-                   'correct the stamps or cut the recording there')
-
-
-def _continues(signals, k):
-    """Return whether motion goes on over step k as if only one period had passed."""
-    time, gap = signals.time, signals.time[k + 1] - signals.time[k]
-    first, last = max(0, k - _GAP_BESIDE), min(len(time) - 1, k + 1 + _GAP_BESIDE)
-    if k == first or last == k + 1:
-        return False
-    votes = []
-    for j in range(len(signals.joints)):
-        q = signals.q_link[:, j]
-        before = (q[k] - q[first]) / (time[k] - time[first])
-        after = (q[last] - q[k + 1]) / (time[last] - time[k + 1])
-        mean, gone = 0.5 * (before + after), q[k + 1] - q[k]
-        steady = abs(before - after) < 0.3 * abs(mean)
-        if steady and abs(mean) * gap > 10 * quantum(q[first:last + 1]):
-            votes.append(abs(gone - mean * signals.period) < 0.2 * abs(mean) * gap)
-    return bool(votes) and all(votes)
+    return [*_short_steps(signals, steps, steady), *_lost(signals, steps, gaps)]
 
 
 def _short_steps(signals, steps, steady):
     """Find stamps closer than the sampling really was, as when the clock is set back."""
     short = np.flatnonzero(steps < limits.TOO_SOON * signals.period)
-    if steady and short.size >= 3:
-        wrong = sum(_contradicts(signals, steps, short, j) for j in range(len(signals.joints)))
-        if wrong >= 3:
-            yield Finding('clock', '', 'refuse', f'{signals.source}: {short.size} stamps follow '
-                          f'the one before too soon, the first at '
-                          f'{signals.time[short[0]]:.3f} s, and the motion contradicts them: '
-                          'the clock was set back or samples are out of order; correct the '
-                          'stamps or cut the recording there')
-            return
-        near = limits.CLUSTER
-        dense = len(short) > near and np.min(short[near:] - short[:-near]) < 5 * near
-        if dense or short.size > limits.TOO_SOON_SHARE * len(steps):
-            yield Finding('clock', '', 'warn', f'{signals.source}: {short.size} stamps follow '
-                          'the one before too soon, the first at '
-                          f'{signals.time[short[0]]:.3f} s; was the clock set back there? If '
-                          'so, cut the recording')
-            return
+    near = limits.CLUSTER
+    dense = len(short) > near and np.min(short[near:] - short[:-near]) < 5 * near
+    if steady and (dense or short.size > max(limits.TOO_SOON_SHARE * len(steps), 2)):
+        yield Finding('clock', '', 'warn', f'{signals.source}: {short.size} stamps follow the '
+                      f'one before too soon, the first at {signals.time[short[0]]:.3f} s; was '
+                      'the clock set back there? If so, cut the recording')
+        return
     spread = float(np.subtract(*np.quantile(steps, [0.9, 0.1]))) / signals.period
     if spread > limits.IRREGULAR and not steady:
         yield Finding('clock', '', 'warn', f'{signals.source}: the sample period is irregular '
                       f'({spread:.1f} periods between the 10 % and 90 % quantiles); stamp the '
                       'samples when they are taken')
-
-
-def _contradicts(signals, steps, short, j):
-    """Return at how many short steps joint j moves otherwise than its velocity says."""
-    q, time = signals.q_link[:, j], signals.time
-    first = np.maximum(short - 3 * _GAP_BESIDE, 0)
-    last = np.minimum(short + 1 + 3 * _GAP_BESIDE, len(time) - 1)
-    velocity = (q[last] - q[first]) / (time[last] - time[first])
-    fast = np.abs(velocity) * signals.period > 3 * quantum(q)
-    error = np.abs(q[short + 1] - q[short] - velocity * steps[short])
-    return int(np.sum(fast & (error > 0.3 * np.abs(velocity) * signals.period)))
 
 
 def _lost(signals, steps, gaps):
@@ -248,22 +193,14 @@ def broken(signals: Recording) -> list[Finding]:
 
     Kinds 'jump' (angle) and 'frozen' (samples repeated while the joint moves).
     """
-    found, rows = [], _repeated_rows(signals)
-    caught = [np.empty((0, 2), dtype=int)]
-    for j in range(len(signals.joints)):
-        q, top = signals.q_link[:, j], _top_step(signals.q_link[:, j])
-        caught.append(_while_moving(q, rows, max(0.6 * quantum(q), 0.05 * top)))
-    rows = np.unique(np.concatenate(caught), axis=0)
-    found += _frozen(signals, '', 'all channels stay', rows)
+    found = []
     for j, joint in enumerate(signals.joints):
         for side, q, _ in sides(signals, j):
             top, unit = _top_step(q), quantum(q)
             grain = max(unit, 3 * _noise(q))
             runs = _while_moving(q, _runs(np.diff(q) == 0), max(3 * grain, 0.05 * top))
-            if not found or found[0].joint:
-                found += _frozen(signals, joint, f'the {side} angle of {joint} stays', runs)
-            held = np.concatenate([rows[:, 1], runs[:, 1]])
-            found += _jumps(signals, joint, side, q, (top, unit), held)
+            found += _frozen(signals, joint, f'the {side} angle of {joint} stays', runs)
+            found += _jumps(signals, joint, side, q, (top, unit), runs[:, 1])
     return found
 
 
@@ -286,27 +223,6 @@ def _runs(equal):
     """Return (first, last) sample of each run (R, 2) of samples equal to the one before."""
     edges = np.diff(np.concatenate([[False], equal, [False]]).astype(np.int8))
     return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)], axis=1)
-
-
-def _repeated_rows(signals):
-    """Return the runs of samples repeated in every channel, where a joint's always change else."""
-    same = np.ones(len(signals.time) - 1, dtype=bool)
-    lively = np.zeros(len(signals.joints), dtype=bool)
-    for j in range(len(signals.joints)):
-        angles = [signals.q_link[:, j], signals.q_motor[:, j]]
-        others = [values for values in (signals.dq_link[:, j], signals.dq_motor[:, j],
-                                        signals.tau_motor[:, j]) if np.isfinite(values).any()]
-        lively[j] = len(others) > 1 and all(_never_repeats(values) for values in others)
-        for values in [*angles, *others]:
-            if np.isfinite(values).any():
-                same &= np.diff(values) == 0
-    return _runs(same) if lively.any() else np.empty((0, 2), dtype=int)
-
-
-def _never_repeats(values):
-    """Return whether a signal (T,) hardly ever has a value again, apart from standing still."""
-    changed = values[1:20000][np.diff(values[:20000]) != 0]
-    return len(np.unique(changed)) > max(0.8 * len(changed), limits.FEWEST / 2)
 
 
 def _while_moving(q, runs, step):

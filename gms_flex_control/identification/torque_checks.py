@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Faults of the torque: clipped, reversed, off by a factor; and channels that were exchanged.
+Faults of the torque: clipped, reversed, off by a factor, exchanged.
 
 The equations of motion are fits with weights that cannot be negative: the motor's,
 ``J ddq_motor + K (q_motor - q_link) = u``, and the whole joint's,
@@ -19,7 +19,6 @@ from gms_flex_control.identification.check_basis import (
     balance_fit,
     filtered,
     Finding,
-    rigid_torque,
     spring_fit,
     spring_joints,
     torque_joints,
@@ -82,17 +81,14 @@ def physics(signals: Recording, robot: RobotParams, rough=False) -> list[Finding
     Compare torque, sides and joints with the equations of motion.
 
     Without a torque only the angles are compared. ``rough``: inertia and stiffness are mere
-    placeholders; a factor is a warning only, and inertia is no evidence of exchanged joints.
-    One fault at a time, since each hides the next.
+    placeholders; a factor is a warning only. One fault at a time, since each hides the next.
     """
     motion = filtered(signals, robot)
     if len(motion.tau) < limits.FEWEST_ROWS:
         return []
-    return (_exchanged_angles(signals, robot, motion) or _side_scales(signals, robot, motion)
-            or _exchanged_torques(signals, robot, motion)
-            or _directions(signals, robot, motion)
-            or (not rough and _exchanged_joints(signals, robot, motion))
-            or _scales(signals, robot, motion, rough) or _unexplained(signals, robot, motion))
+    return (_side_scales(signals, robot, motion) or _exchanged_torques(signals, robot, motion)
+            or _directions(signals, robot, motion) or _scales(signals, robot, motion, rough)
+            or _unexplained(signals, robot, motion))
 
 
 def _directions(signals, robot, motion):
@@ -241,27 +237,6 @@ def _unexplained(signals, robot, motion):
     return found
 
 
-def _exchanged_angles(signals, robot, motion):
-    """Find two joints whose motor follows the other's link far better than its own."""
-    found = []
-    for i, j in combinations(spring_joints(robot, motion), 2):
-        def apart(a, b):
-            return np.var(motion.q_motor[:, a] - motion.q_link[:, b])
-
-        def unlike(a, b):
-            return 1 - spring_fit(motion.tau[:, a], motion.ddq_motor[:, a],
-                                  motion.q_motor[:, a] - motion.q_link[:, b])[0]
-        judged = {i, j}.issubset(torque_joints(robot, motion))
-        straight, crossed = ([unlike(i, i), unlike(j, j)], [unlike(i, j), unlike(j, i)]
-                             ) if judged else ([0.0, 0.0], [1.0, 1.0])
-        if apart(i, j) + apart(j, i) < 0.04 * (apart(i, i) + apart(j, j)) or (
-                max(crossed) < 0.1 and min(straight) > 3 * max(crossed)
-                and sum(crossed) < 0.2 * sum(straight)):
-            found.append(_swap(signals, i, j, 'angles of one side',
-                               'each motor follows the other link'))
-    return found
-
-
 def _side_scales(signals, robot, motion):
     """Find a motor angle with another sign or scale than the link's, far beyond any deflection."""
     found = []
@@ -301,53 +276,9 @@ def _exchanged_torques(signals, robot, motion):
         straight = [1 - explained(i, i), 1 - explained(j, j)]
         if max(crossed) < 0.3 and sum(crossed) < 0.25 * sum(straight) and all(
                 a < b for a, b in zip(crossed, straight, strict=True)):
-            found.append(_swap(signals, i, j, 'torques', 'each fits the motion of the other'))
+            first, second = signals.joints[i], signals.joints[j]
+            found.append(Finding(
+                'swapped_torques', first, 'refuse', f'{signals.source}: the torques of {first} '
+                f'and {second} seem exchanged: each fits the motion of the other; exchange the '
+                'names in the recording or the robot file'))
     return found
-
-
-def _exchanged_joints(signals, robot, motion):
-    """Find two joints that, exchanged as a whole, fit the robot's inertia far better."""
-    loads, springs = [], spring_joints(robot, motion)
-    for j in range(robot.n_joints):
-        torsion = motion.q_motor[:, j] - motion.q_link[:, j]
-        loads.append(robot.arm.stiffness[j] * torsion if j in springs else motion.tau[:, j])
-    if not all(np.isfinite(load).all() for load in loads):
-        return []
-    n = robot.n_joints
-    base, found = _misfits(motion, robot, loads, range(n)), []
-    for i, j in combinations(range(n), 2):
-        if robot.arm.rigid[i] != robot.arm.rigid[j]:
-            continue
-        order = np.arange(n)
-        order[[i, j]] = j, i
-        other = _misfits(motion, robot, loads, order)
-        if sum(other) < min(limits.FITS * n, limits.BETTER * sum(base)):
-            found.append(_swap(signals, i, j, 'names', "the robot's inertia fits only then"))
-    return found
-
-
-def _misfits(motion, robot, loads, order):
-    """Return per joint what inertia as given and free friction leave of the load's variance."""
-    torque, rests = rigid_torque(motion, robot.arm, list(order)), []
-    for own, recorded in enumerate(order):
-        load, velocity = loads[recorded], motion.dq_link[:, recorded]
-        # the stiffness belongs to the name: rescale where the robot's joints differ
-        if not robot.arm.rigid[own]:
-            load = load * (robot.arm.stiffness[own] / robot.arm.stiffness[recorded])
-        rows = is_moving(velocity)
-        error, load = (load - torque[:, own])[rows], load[rows]
-        spread = np.var(load) if rows.sum() >= limits.FEWEST_ROWS else 0.0
-        if spread > 0:
-            left = 1 - sign_fit(error, friction_columns(velocity[rows]),
-                                [np.ones_like(error)]).as_is
-            rests.append(np.var(error) * left / spread)
-        else:
-            rests.append(0.0)
-    return rests
-
-
-def _swap(signals, i, j, what, reason):
-    first, second = signals.joints[i], signals.joints[j]
-    return Finding('swapped_joints', first, 'refuse', f'{signals.source}: the {what} of {first} '
-                   f'and {second} seem exchanged ({reason}); exchange the names in the '
-                   'recording or the robot file')
