@@ -21,14 +21,11 @@ def generate_launch_description():
                               description='Parameter file of the experiment: ranges, limits, '
                                           'steps'),
         DeclareLaunchArgument('bag', default_value='identification',
-                              description='Recording to be made, journal and results beside it'),
-        DeclareLaunchArgument('resume', default_value='false', choices=['true', 'false'],
-                              description='Go on where the journal of an earlier start ends')]
+                              description='Recording to be made, results beside it')]
     experiment = parts.node(
         'identification_node', LaunchConfiguration('experiment'),
         {'mode': LaunchConfiguration('mode'),
-         'identification.bag': ParameterValue(LaunchConfiguration('bag'), value_type=str),
-         'identification.resume': ParameterValue(LaunchConfiguration('resume'), value_type=bool)},
+         'identification.bag': ParameterValue(LaunchConfiguration('bag'), value_type=str)},
         on_exit=Shutdown())
     return parts.description([*parts.arguments(), *own],
                              [*parts.closed_loop(), experiment])

@@ -8,8 +8,11 @@ from pathlib import Path
 
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.identification_plan import (
+    Adaptation,
+    ExperimentError,
     plan_identification,
     read_identification_plan,
+    require_space,
 )
 from gms_flex_control.schema.files import load_controller, load_robot, read_values
 import numpy as np

@@ -20,7 +20,6 @@ from node_harness import (
     JointState,
     Lab,
     services,
-    stamp_of,
     STATES,
     traceback_free,
     Trigger,
@@ -87,9 +86,6 @@ class Experiment(Lab):
         self.until(lambda: words in process.printed() or not process.runs)
         assert process.runs, process.printed()
 
-    def journal(self):
-        return json.loads(self.bag.with_name('bag.journal.json').read_text())
-
 
 @pytest.fixture
 def lab(tmp_path):
@@ -108,37 +104,18 @@ def measured_steps(phases):
             if not phase.step.endswith(('/approach', '/relax', '')) or phase.value]
 
 
-def test_a_whole_experiment_is_recorded_with_its_phases_and_compared_when_asked(lab):
+def test_a_whole_experiment_is_recorded_with_its_phases(lab):
     """It is not fitted, as its plan leaves out a joint."""
-    node = lab.begin(fit=True, exit_when_done=False)
-    lab.until_step(node, 'constant_velocity')
-    early = lab.call(Trigger, '/identification/discrepancy')
-    assert not early.success and 'no recording is finished' in early.message
+    node = lab.begin(fit=True)
     lab.until(lambda: 'no fit: the plan leaves out joint1' in node.printed() or not node.runs,
               bound=300.0)
     assert not lab.bag.with_name('bag_identified').exists()
+    assert node.wait() == 0 and traceback_free(node, *lab.others.values())
     check_recording(lab)
-    assert lab.journal()['finished'] == [step.name for step in lab.plan.experiments]
     assert '100 %, done in' in node.printed() and 'estimated' in node.printed()
     assert lab.get('/cascade_controller', 'compensation') == 'gms'
-    beside = lab.bag.with_name('bag_discrepancy')
-    beside.write_text('a file where a folder is to be')
-    lab.until(lambda: lab.call(Trigger, '/identification/discrepancy').success)
-    lab.until(lambda: 'discrepancy cannot be run with its results in' in node.printed())
-    beside.unlink()
-    lab.until(lambda: lab.call(Trigger, '/identification/discrepancy').success)
-    again = lab.call(Trigger, '/identification/discrepancy')
-    assert not again.success and 'runs already' in again.message
-    lab.until(lambda: 'discrepancy: ' in node.printed())
-    states = lab.listen(JointState, STATES)
-    lab.until((beside / 'report.json').exists, bound=300.0)
-    assert len({stamp_of(state) for state in states}) < RATE  # the loop in lockstep has paused
-    lab.until(lambda: len(states) > 2 * RATE)
-    report = json.loads((beside / 'report.json').read_text())
-    assert report['verdict'] != 'bad_data' and report['sources'] == [str(lab.bag)]
-    assert load_robot(beside / 'robot.yaml').joints == ('joint1', 'joint2')
-    lab.until(lambda: re.search(rf'numbers +{beside}/report.json', node.printed()))
-    assert node.signal(INT) == 0 and traceback_free(node, *lab.others.values())
+    refused = lab.identify('identification_node.again')
+    assert refused.wait() == 2 and 'has been recorded already' in refused.printed()
 
 
 def check_recording(lab):
@@ -179,7 +156,7 @@ def test_start_stop_and_resume_and_a_signal_gives_zero_torque(lab):
     assert node.signal(INT) == 0, node.printed()
     begun = len(commands)
     lab.until(lambda: len(commands) > begun + 50 and no_torque(commands[-50:]))
-    assert 'identification.resume' in node.printed() and traceback_free(node)
+    assert 'ended by a signal' in node.printed() and traceback_free(node)
     recording, phases = read(lab.bag)
     stop = next(phase for phase in phases if phase.phase == 'idle')
     after = np.searchsorted(recording.time, stop.time_ns * 1e-9)
@@ -192,24 +169,6 @@ def test_start_stop_and_resume_and_a_signal_gives_zero_torque(lab):
 
 def no_torque(commands):
     return not any(np.any(command.data) for command in commands)
-
-
-def test_after_a_kill_the_rest_is_recorded_into_a_second_bag(lab):
-    node = lab.begin()
-    lab.until_step(node, 'break_away')
-    node.process.send_signal(signal.SIGKILL)
-    node.wait()
-    finished = lab.journal()['finished']
-    assert finished and len(finished) < len(lab.plan.experiments)
-    _, phases = read(lab.bag)
-    assert set(finished) <= set(measured_steps(phases))
-    refused = lab.identify('identification_node.again')
-    assert refused.wait() == 2 and 'identification.resume' in refused.printed()
-    second = lab.identify('identification_node.resumed', resume=True)
-    assert second.wait() == 0, second.printed()
-    names = measured_steps(read(lab.folder / 'bag_2')[1])
-    assert names == [step.name for step in lab.plan.experiments if step.name not in finished]
-    assert lab.journal()['bags'] == ['bag', 'bag_2']
 
 
 def test_a_lost_node_ends_the_experiment_with_a_sentence(lab):
@@ -239,7 +198,8 @@ def test_parameters_that_are_refused_end_it_with_the_reason(lab):
     assert node.wait() == 2
     assert '/picky refused gains.joint1.torque_limit' in node.printed()
     assert 'too bold' in node.printed() and traceback_free(node)
-    other = lab.identify('identification_node.other', controller_node='/trajectory', resume=True)
+    lab.bag = lab.folder / 'other'
+    other = lab.identify('identification_node.other', controller_node='/trajectory')
     assert other.wait() == 2
     assert 'lacks one of the parameters compensation' in other.printed()
 

@@ -4,14 +4,11 @@
 """The identification experiment: its plan from parameter files, and what of it is done."""
 
 from dataclasses import dataclass
-import hashlib
-import json
 from pathlib import Path
 import shutil
 
-from gms_flex_control.errors import BagError, ConfigError, GmsFlexError, ParameterError
+from gms_flex_control.errors import ConfigError, GmsFlexError, ParameterError
 from gms_flex_control.experiment.identification_steps import Limits, Planner, Step
-from gms_flex_control.file_io import write_text
 from gms_flex_control.schema.build import complete
 from gms_flex_control.schema.files import located, read_values
 from gms_flex_control.schema.keys import EXPERIMENTS, identification_keys, known_keys
@@ -62,9 +59,9 @@ class IdentificationPlan:
             place = step.end
         return tuple(result)
 
-    def duration(self, finished=()) -> float:
-        """Return the expected length of what is not finished [s]."""
-        return sum(step.duration_estimate for step in self.steps(finished))
+    def duration(self) -> float:
+        """Return the expected length of all of it [s]."""
+        return sum(step.duration_estimate for step in self.steps())
 
     def approach_time(self, begin, end) -> float:
         """Return the time for a move from rest to rest within the limits [s]."""
@@ -89,11 +86,6 @@ class IdentificationPlan:
     def trajectory(self, step) -> Trajectory:
         """Return the reference of a motion or torque step."""
         return trajectory_from_values(step.trajectory_parameters, self.joints)
-
-    def fingerprint(self) -> str:
-        """Return a short text that changes with the plan."""
-        text = json.dumps([[*step] for step in self.experiments])
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def plan_identification(values: dict, robot, gains) -> IdentificationPlan:
@@ -150,67 +142,6 @@ _CAUTION = 0.85    # the torque found is late by what inertia takes, and differs
 
 class ExperimentError(GmsFlexError):
     """An experiment cannot begin or go on."""
-
-
-class Journal:
-    """
-    The finished steps of one plan and what later ones need of them, kept on disk.
-
-    It is ``<bag>.journal.json`` beside the first bag of the experiment. ExperimentError if there
-    is one and it is not to be resumed, none to resume, or one of another plan.
-    """
-
-    def __init__(self, bag, plan, *, resume=False):
-        self._bag, self._plan = Path(bag), plan
-        self.path = self._bag.with_name(f'{self._bag.name}.journal.json')
-        self.finished, self.bags, self.found = [], [], {}
-        if resume:
-            self._read()
-        elif self.path.exists() or self._bag.exists():
-            raise ExperimentError(
-                f'{self._bag}: has been recorded already; set identification.resume to true to '
-                'go on with what is unfinished, or name another identification.bag')
-
-    def _read(self):
-        try:
-            content = json.loads(self.path.read_text(encoding='utf-8'))
-            fingerprint = content['plan']
-            self.finished, self.bags = list(content['finished']), list(content['bags'])
-            self.found = {joint: float(torque) for joint, torque in content['found'].items()}
-        except OSError as error:
-            raise ExperimentError(f'{self.path}: cannot be read ({error.strerror}), so there is '
-                                  'nothing to resume; set identification.resume to false '
-                                  'to begin') from error
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ExperimentError(f'{self.path}: is no journal of an experiment; name another '
-                                  'identification.bag and begin anew') from error
-        if fingerprint != self._plan.fingerprint():
-            raise ExperimentError(f'{self.path}: belongs to another plan; resume with the '
-                                  'parameters it began with, or name another identification.bag')
-
-    def next_bag(self) -> Path:
-        """Return the name of a bag that does not exist yet (Path), and note it."""
-        number, path = 1, self._bag
-        while path.exists():
-            number += 1
-            path = self._bag.with_name(f'{self._bag.name}_{number}')
-        self.bags.append(path.name)
-        self._write()
-        return path
-
-    def finish(self, step) -> None:
-        """Note that ``step`` (str) is finished."""
-        self.finished.append(step)
-        self._write()
-
-    def _write(self):
-        try:
-            write_text(self.path, json.dumps({
-                'plan': self._plan.fingerprint(), 'bags': self.bags,
-                'steps': len(self._plan.experiments), 'finished': self.finished,
-                'found': self.found}, indent=1))
-        except OSError as error:
-            raise BagError(f'{self.path}: cannot be written ({error.strerror})') from error
 
 
 def require_space(folder, needed) -> None:

@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The identification experiment as a ROS 2 node: it drives trajectory and controller."""
 
-from contextlib import contextmanager
 from pathlib import Path
 import subprocess
 import sys
@@ -15,7 +14,6 @@ from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import executable
 from gms_flex_control.experiment.identification_plan import (
     ExperimentError,
-    Journal,
     plan_identification,
     require_space,
 )
@@ -40,7 +38,6 @@ from std_srvs.srv import SetBool, Trigger
 
 _BYTES_PER_SAMPLE = 1000  # state, command and reference with their frames, generously
 _RATE_SAMPLES = 20        # joint states that give the rate
-_JUDGED = (0, 1)          # exit codes of gms_flex discrepancy: nothing, something is missing
 _GOODBYE = 1.0            # for a last call to be answered [s]
 _LATCHED = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100,
                       reliability=ReliabilityPolicy.RELIABLE,
@@ -52,89 +49,59 @@ class StoppedError(Exception):
     """Somebody called ~/stop, or the process is to end."""
 
 
-class _Results:
-    """What verbs make of the recordings in processes of their own; the node answers meanwhile."""
+class _Fit:
+    """The fit of the recording in a process of its own; the node answers meanwhile."""
 
-    def __init__(self, node, robot, journal, bag):
-        self._node, self._robot, self._journal, self._bag = node, robot, journal, Path(bag)
+    def __init__(self, node, robot, bag):
+        self._node, self._robot, self._bag = node, robot, Path(bag)
         self._pause = node.create_client(
             SetBool, node.resolve_service_name(f"{node['plant_node']}/pause"))
-        self.spinner = None
-        self.recorded = self.asked = False  # whether there is a recording, and a comparison asked
 
-    def beside(self, what) -> Path:
-        """Return the folder for what is made of the recording."""
-        return self._bag.with_name(f'{self._bag.name}_{what}')
-
-    def fit(self) -> None:
-        """Identify the friction from the bags."""
+    def run(self, spinner) -> None:
+        """Identify the friction from the bag."""
         left_out = set(self._robot.joints) - {step.joint for step in self._node.plan.experiments}
         if left_out:
             self._node.say(
                 f'no fit: the plan leaves out {", ".join(sorted(left_out))}, whose friction '
                 "moves the others; 'gms_flex identify' takes several bags")
             return
-        code, printed = self._gms_flex('identify', self.beside('identified'))
-        if code:
-            raise ExperimentError(f'the bag is whole, but its fit failed: {printed}')
-        self._node.say(printed)
-
-    def find_discrepancy(self) -> None:
-        """Compare the bags with the model one believes in, with its friction if identified."""
-        friction = self.beside('identified') / 'friction.yaml'
-        try:
-            code, printed = self._gms_flex('discrepancy', self.beside('discrepancy'),
-                                           [friction] if friction.exists() else [])
-        except GmsFlexError as error:
-            self._node.get_logger().warning(str(error))
-            return
-        if code in _JUDGED:
-            self._node.say(printed)
-        else:
-            self._node.get_logger().warning(printed)
-
-    def _gms_flex(self, verb, out, files=()):
-        """Run a verb on the bags; return its code and what it printed."""
+        out = self._bag.with_name(f'{self._bag.name}_identified')
         believed = out / 'believed_robot.yaml'
-        bags = [str(self._bag.with_name(name)) for name in self._journal.bags]
-        command = [*executable('gms_flex'), verb, *bags, '--robot', str(believed),
-                   *map(str, files), '--out', str(out)]
+        command = [*executable('gms_flex'), 'identify', str(self._bag), '--robot', str(believed),
+                   '--out', str(out)]
         try:
             save_robot(self._robot, believed)
-            self._node.say(f'{verb}: {", ".join(bags)}')
-            with TemporaryFile('w+', encoding='utf-8', errors='replace') as printed, \
-                    self._plant_paused():
-                code = self._ended(command, printed)
+            self._node.say(f'identify: {self._bag}')
+            self.set_pause(True)  # a loop in lockstep would run as fast as it can beside it
+            with TemporaryFile('w+', encoding='utf-8', errors='replace') as printed:
+                code = _ended(command, printed, spinner)
                 printed.seek(0)
-                return code, printed.read().strip()
+                text = printed.read().strip()
         except OSError as error:
-            raise ExperimentError(f'{verb} cannot be run with its results in {out}: {error}; '
-                                  'the bags are whole') from error
-
-    @contextmanager
-    def _plant_paused(self):
-        """Let a loop in lockstep stand, which would run as fast as it can beside the block."""
-        self.set_pause(True)
-        try:
-            yield
+            raise ExperimentError(f'identify cannot be run with its results in {out}: {error}; '
+                                  'the bag is whole') from error
         finally:
             self.set_pause(False)
+        if code:
+            raise ExperimentError(f'the bag is whole, but its fit failed: {text}')
+        self._node.say(text)
 
     def set_pause(self, on) -> None:
         """Let the plant pause or go on, if it can: one in lockstep alone has the service."""
         if self._pause.service_is_ready():
             self._node.see_out(self._pause.call_async(SetBool.Request(data=on)))
 
-    def _ended(self, command, printed):
-        """Return the exit code of a command that prints into a file."""
-        run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=printed,
-                               stderr=subprocess.STDOUT)
-        while run.poll() is None:
-            self.spinner.spin_once(0.1)
-            if not self.spinner.goes_on():
-                run.terminate()
-                raise StoppedError
-        return run.returncode
+
+def _ended(command, printed, spinner):
+    """Return the exit code of a command that prints into a file."""
+    run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=printed,
+                           stderr=subprocess.STDOUT)
+    while run.poll() is None:
+        spinner.spin_once(0.1)
+        if not spinner.goes_on():
+            run.terminate()
+            raise StoppedError
+    return run.returncode
 
 
 class IdentificationNode(Node):
@@ -150,25 +117,25 @@ class IdentificationNode(Node):
         joints = parameters.joints
         robot = robot_from_values(values)
         self.plan = plan_identification(values, robot, controller_from_values(values, joints))
-        self._journal = Journal(self['bag'], self.plan, resume=self['resume'])
+        if Path(self['bag']).exists():
+            raise ExperimentError(f"{self['bag']}: has been recorded already; name another "
+                                  'identification.bag')
         self.trajectory = RemoteNode(self, self['trajectory_node'],
                                      ('start', 'stop', 'reset', 'release'))
         self.controller = RemoteNode(self, self['controller_node'])
-        self._results = _Results(self, robot, self._journal, self['bag'])
+        self._fit = _Fit(self, robot, self['bag'])
         self.watch = Watch(self.plan)
         self._bag = self._spinner = self._pending = None
-        self._runner = StepRunner(self, self._journal)
+        self._runner = StepRunner(self)
         self._ordered, self._stopped = self['autostart'], False
         self._phase_pub = self.create_publisher(Float64MultiArray, '~/phase', _LATCHED)
         self.create_subscription(JointState, STATES, self._on_joint_states,
                                  process.subscriber_qos(self._values['mode'], _DEPTH),
                                  event_callbacks=process.NO_EVENTS)
         for name, handler in (('start', self._start), ('stop', self._stop),
-                              ('resume', self._resume), ('discrepancy', self._compare)):
+                              ('resume', self._resume)):
             self.create_service(Trigger, f'~/{name}', handler)
-        left = self.plan.duration(self._journal.finished)
-        self.say(f'{len(self.plan.experiments)} steps, {len(self._journal.finished)} finished; '
-                 f'about {left:.0f} s to go')
+        self.say(f'{len(self.plan.experiments)} steps, about {self.plan.duration():.0f} s to go')
 
     def __getitem__(self, name):
         """Return the value of a parameter below ``identification``."""
@@ -206,19 +173,6 @@ class IdentificationNode(Node):
         response.success, response.message = True, 'zero torque; ~/resume goes on'
         return response
 
-    def _compare(self, _request, response):
-        results = self._results
-        response.success = results.recorded and not results.asked
-        if response.success:
-            results.asked = True
-            response.message = f'begins; the result will stand in {results.beside("discrepancy")}'
-        elif results.asked:
-            response.message = 'runs already'
-        else:
-            response.message = ('no recording is finished yet; call it after the last step, with '
-                                'identification.exit_when_done false')
-        return response
-
     def _release(self):
         """Ask for zero torque at once; what waits for the robot gets a StoppedError."""
         self._stopped = True
@@ -250,8 +204,7 @@ class IdentificationNode(Node):
         if silent:
             raise ExperimentError(
                 f'no {" and no ".join(silent)} for {self["silence"]:g} s: the robot is left '
-                'without torque; is every node running? Start again with '
-                'identification.resume to go on')
+                'without torque; is every node running?')
 
     def answer(self, future, who) -> object:
         """Return the answer of a call."""
@@ -281,29 +234,22 @@ class IdentificationNode(Node):
 
     def run(self, spinner) -> None:
         """Carry out what is unfinished; return when done or when a signal comes."""
-        self._spinner = self._results.spinner = spinner
-        results = self._results
+        self._spinner = spinner
         try:
             self._prepare()
-            self._record(self._journal.next_bag())
+            self._record(self['bag'])
             if self['fit']:
-                results.fit()
-            results.recorded = True
-            while not self['exit_when_done'] and spinner.goes_on():
-                spinner.spin_once()
-                if results.asked:
-                    results.find_discrepancy()
-                    results.asked = False
+                self._fit.run(spinner)
         except StoppedError:
-            self.say('ended by a signal; start again with identification.resume to go on')
+            self.say('ended by a signal')
 
     def _prepare(self):
         for remote in (self.trajectory, self.controller):
             self._come(remote.is_ready, lambda remote=remote: (
                 f'the services of {remote.name} did not appear'))
-        self._results.set_pause(False)  # of one that was killed while it computed
+        self._fit.set_pause(False)  # of one that was killed while it computed
         self._come(lambda: self.watch.samples > _RATE_SAMPLES, lambda: f'no state on {STATES}')
-        samples = self.plan.duration(self._journal.finished) / self.watch.period
+        samples = self.plan.duration() / self.watch.period
         require_space(Path(self['bag']).parent, samples * _BYTES_PER_SAMPLE)
 
     def _record(self, path):

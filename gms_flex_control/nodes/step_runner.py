@@ -89,18 +89,18 @@ class Watch:
 
 
 class StepRunner:
-    """Carries out what a journal lacks of the plan of an IdentificationNode, which can wait."""
+    """Carries out what is unfinished of the plan of an IdentificationNode, which can wait."""
 
-    def __init__(self, node, journal):
-        self._node, self._journal, self._plan = node, journal, node.plan
+    def __init__(self, node):
+        self._node, self._plan, self._finished = node, node.plan, []
         self._compensation = self._before = None
-        self._adaptation = Adaptation(self._plan, journal.found)
+        self._adaptation = Adaptation(self._plan)
 
     def run(self) -> None:
         """Carry out all unfinished steps; the controller then is as it was."""
         node, plan = self._node, self._plan
         self._take_over()
-        steps = plan.steps(self._journal.finished, node.watch.q_link)
+        steps = plan.steps(self._finished, node.watch.q_link)
         begin, expected, passed = node.watch.stamp, sum(s.duration_estimate for s in steps), 0.0
         node.watch.guard(True)
         for step in steps:
@@ -112,7 +112,7 @@ class StepRunner:
             self._carry_out(adapted)
             passed += step.duration_estimate
             if step in plan.experiments:
-                self._journal.finish(step.name)
+                self._finished.append(step.name)
         node.watch.guard(False)
         node.phase('idle')
         self._set(node.controller, self._before)

@@ -181,14 +181,10 @@ _IDENTIFIED = (
     Key('stribeck_velocity', 'expected v_s; 0 takes that of the robot file', 'rad/s', 0.0, 0.0))
 # below identification
 _EXPERIMENT_NODE = (
-    Key('bag', 'recording to be made; a journal of the finished steps stands beside it',
-        default='identification'),
-    Key('resume', 'go on with the first step the journal lacks, into a bag beside the first',
-        default=False),
+    Key('bag', 'recording to be made', default='identification'),
     Key('autostart', 'begin as soon as all nodes are there', default=True),
     Key('fit', 'fit the friction when the last step is finished, into a folder beside the bag',
         default=True),
-    Key('exit_when_done', 'end when the last step is finished', default=True),
     Key('trajectory_node', 'name of the trajectory node', default='trajectory'),
     Key('controller_node', 'name of the controller node', default='cascade_controller'),
     Key('plant_node', 'name of the plant; in lockstep it pauses while results are computed',
