@@ -101,7 +101,7 @@ class McapFile(StorageFile):
         stream.seek(0)
         try:
             summary = make_reader(stream).get_summary()
-        except _MALFORMED:
+        except (*_MALFORMED, OSError):
             return
         if summary is not None:
             self._schemas |= summary.schemas
