@@ -11,7 +11,6 @@ from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.params.gains import COMPENSATIONS
-from gms_flex_control.params.key import offered_range
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import (
     load_controller,
@@ -19,7 +18,7 @@ from gms_flex_control.schema.files import (
     load_robot_to_identify,
     save_robot,
 )
-from gms_flex_control.schema.keys import controller_keys, trajectory_keys
+from gms_flex_control.schema.keys import controller_keys
 import numpy as np
 import pytest
 

@@ -14,7 +14,7 @@ import time
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.nodes.process import NO_EVENTS
-from gms_flex_control.params.key import checked, offered_range, range_in_words, REQUIRED
+from gms_flex_control.params.key import checked, range_in_words, REQUIRED
 from gms_flex_control.schema import build
 from gms_flex_control.schema.keys import known_keys
 from rcl_interfaces.msg import (
@@ -36,32 +36,25 @@ _TYPES = {kind: getattr(ParameterType, f'PARAMETER_{kind.upper()}')
               'boolean': ParameterType.PARAMETER_BOOL}
 
 
-def _descriptor(key, value):
-    """Return what ROS says of a parameter that has a value."""
+def _descriptor(key):
+    """Return what ROS says of a parameter."""
     choices = f"one of {', '.join(key.choices)}" if key.choices else ''
     unit = f' [{key.unit}]' if key.unit else ''
     descriptor = ParameterDescriptor(  # rqt_reconfigure shows the description alone
         description=f'{key.description}{unit}{f": {choices}" if choices else ""}',
         type=_TYPES[key.kind], additional_constraints=choices, read_only=not key.live)
-    if _is_offered(key):
-        low, high = offered_range(key, value)
-        descriptor.additional_constraints = (
-            f'{range_in_words(key)}; the range is what sliders are offered and follows the value')
-    else:
-        low, high = key.lower, key.upper
-        if math.isinf(low) or math.isinf(high):
-            return descriptor
-    if key.kind == 'double':  # no step: ROS refuses what is not on its grid
-        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    if key.kind == 'integer':
+    if key.kind == 'double' and key.live and math.isfinite(key.lower):
+        # no range: from finger to crane it is useless for a slider; `checked` judges the value
+        descriptor.additional_constraints = range_in_words(key)
+    elif math.isinf(key.lower) or math.isinf(key.upper):
+        return descriptor
+    elif key.kind == 'double':  # no step: ROS refuses what is not on its grid
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=key.lower, to_value=key.upper)]
+    elif key.kind == 'integer':
         descriptor.integer_range = [
-            IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+            IntegerRange(from_value=int(key.lower), to_value=int(key.upper), step=1)]
     return descriptor
-
-
-def _is_offered(key):
-    """Return whether a key's range in ROS is the one that sliders are offered."""
-    return key.kind == 'double' and key.live and offered_range(key, 0.0) is not None
 
 
 class NodeParameters:
@@ -95,10 +88,8 @@ class NodeParameters:
         for name in given:
             node.undeclare_parameter(name)
         for name, key in self._keys.items():
-            node.declare_parameter(name, _ros_value(key, self.values[name]),
-                                   _descriptor(key, self.values[name]), ignore_override=True)
-        self._apply = None
-        self._open = ()  # names whose range ROS does not check meanwhile
+            node.declare_parameter(name, _ros_value(key, self.values[name]), _descriptor(key),
+                                   ignore_override=True)
 
     @staticmethod
     def _value(key, given):
@@ -123,33 +114,7 @@ class NodeParameters:
         self._node.add_post_set_parameters_callback(guard(self._on_changed))
 
     def _coerce(self, parameters):
-        coerced = [self._as_double(parameter) for parameter in parameters]
-        self._make_room(coerced)
-        return coerced
-
-    def _make_room(self, parameters):
-        """Keep ROS from refusing what lies beyond the range offered; `checked` judges it."""
-        self._offer(self._open)  # those of a setting that ROS refused for another reason
-        self._open = [parameter.name for parameter in parameters if self._is_beyond(parameter)]
-        for name in self._open:
-            descriptor = self._node.describe_parameter(name)
-            self._node.set_descriptor(name, ParameterDescriptor(
-                description=descriptor.description, type=descriptor.type,
-                additional_constraints=descriptor.additional_constraints))
-
-    def _is_beyond(self, parameter):
-        key = self._keys.get(parameter.name)
-        if key is None or not _is_offered(key) or parameter.type_ != Parameter.Type.DOUBLE:
-            return False
-        low, high = offered_range(key, self.values[parameter.name])
-        return not low <= parameter.value <= high
-
-    def _offer(self, names):
-        """Let the ranges of parameters follow their values."""
-        for name in names:
-            key = self._keys[name]
-            if _is_offered(key):
-                self._node.set_descriptor(name, _descriptor(key, self.values[name]))
+        return [self._as_double(parameter) for parameter in parameters]
 
     def _as_double(self, parameter):
         key = self._keys.get(parameter.name)
@@ -169,13 +134,6 @@ class NodeParameters:
         return values
 
     def _on_set(self, parameters):
-        result = self._judged(parameters)
-        if not result.successful:
-            self._offer(self._open)
-            self._open = ()
-        return result
-
-    def _judged(self, parameters):
         try:
             self._judge(self._candidate(parameters))
         except GmsFlexError as error:
@@ -191,8 +149,6 @@ class NodeParameters:
             judged = self._judge(values)
             self.values = values
             self._apply(judged)
-        self._offer(parameter.name for parameter in parameters if parameter.name in self._keys)
-        self._open = ()
 
 
 def _beside_parameters(name):

@@ -16,10 +16,6 @@ SMALLEST = 1e-12  # of what must be above zero
 _NAMES = {'double': 'a number', 'integer': 'a whole number', 'string': 'a text',
           'boolean': 'true or false', 'double_array': 'a list of numbers',
           'string_array': 'a list of texts'}
-# of what a slider is offered
-REACH = 5.0             # times the value, at least
-_ENDS = (1.0, 2.0, 5.0, 10.0)
-_ROUNDING = 1.0 - 1e-9  # five times 0.2 ends at 1, whatever the last bit says
 
 
 @dataclass(frozen=True)
@@ -138,29 +134,6 @@ def range_in_words(key: Key) -> str:
     if math.isfinite(key.upper):
         return f'from {key.lower:g} to {key.upper:g}'
     return 'above 0' if key.lower == SMALLEST else f'at least {key.lower:g}'
-
-
-def offered_range(key: Key, value: float) -> tuple[float, float] | None:
-    """
-    Return the range that a slider for a live number is offered.
-
-    From the least value allowed to 5 to 12.5 times the present one, rounded to 1, 2 or 5 times a
-    power of ten, or to the largest allowed; to infinity where the value is 0 and so says nothing
-    of its size. None for what may be negative without bound, such as an angle.
-
-    What is allowed has to fit a finger and a crane, eight powers of ten apart, and the sliders
-    of rqt_reconfigure are linear, of 100 positions; where one end is infinite they follow the
-    arc tangent, which resolves 0.02 to 60.
-    """
-    if math.isinf(key.lower):
-        return None
-    return key.lower, min(_above(REACH * value), key.upper) if value > 0.0 else math.inf
-
-
-def _above(number):
-    """Return the next 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(number))
-    return next(end * power for end in _ENDS if end * power >= _ROUNDING * number)
 
 
 def freeze_arrays(instance, *, skip=()) -> None:
