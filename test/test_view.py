@@ -23,7 +23,7 @@ from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.live import Rows
 from gms_flex_control.view.recorded import BagView, blocks_along, CHUNK, open_bag
 from gms_flex_control.view.scene import extent, places, scene_of, unknown_scene
-from gms_flex_control.view.server import Access, ViewServer
+from gms_flex_control.view.server import refusal_of_host, ViewServer
 import numpy as np
 from processes import TOOL
 import pytest
@@ -278,7 +278,7 @@ def test_a_change_with_the_token_of_the_page_is_passed_on(served):
     ({'X_Token': None, 'Sec_Fetch_Site': 'cross-site'}, 'a page of another site may not'),
     ({'X_Token': None, 'Host': 'evil.example'}, "this server is not 'evil.example'")])
 def test_a_change_from_elsewhere_is_refused(served, headers, reason):
-    given = {name: served.access.token if value is None else value
+    given = {name: served.token if value is None else value
              for name, value in headers.items()}
     for path, what in (('/api/parameters', CHANGE), ('/api/call', '{"name": "stop"}')):
         status, _, body = ask(served, 'POST', path, what, **given)
@@ -292,7 +292,7 @@ def test_a_change_from_elsewhere_is_refused(served, headers, reason):
         '{"name": "gains.a", "value": true}', 'x' * 20_000)),
     *(('call', 'a request', body) for body in ('[]', '{}', '{"name": 3}'))])
 def test_a_malformed_change_or_request_is_refused(served, path, word, body):
-    status, _, answer = ask(served, 'POST', f'/api/{path}', body, X_Token=served.access.token)
+    status, _, answer = ask(served, 'POST', f'/api/{path}', body, X_Token=served.token)
     assert status == 400 and json.loads(answer)['reason'].startswith(word)
 
 

@@ -141,10 +141,6 @@ _VIEW = Verb(
                     'namespace'),
         option('--port', type=int, default=8642, least=0, most=65535,
                help='0 takes a free one (default: %(default)s)'),
-        option('--host', default='127.0.0.1', metavar='ADDRESS',
-               help='address to listen on (default: this machine alone)'),
-        option('--allow-set', action='store_true',
-               help='with --host: gains may be set from other machines too'),
         option('--open', action='store_true', help='open the page in a browser')),
     ('view my_bag --robot config/robot.yaml', 'view sinusoid_gms sinusoid_none', 'view live'))
 _IDENTIFY = Verb(

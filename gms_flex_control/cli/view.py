@@ -6,7 +6,6 @@
 from contextlib import nullcontext
 import re
 import signal
-import sys
 import time
 import webbrowser
 
@@ -15,12 +14,11 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.recorded import open_bag
-from gms_flex_control.view.server import is_loopback, ViewServer
+from gms_flex_control.view.server import ViewServer
 
 
 def view(args) -> int:
     """Serve the page until Ctrl-C; return 0."""
-    local = is_loopback(args.host)
     before = {}
 
     def interrupt(_number, _frame):
@@ -31,13 +29,7 @@ def view(args) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         before[number] = signal.signal(number, interrupt)
     try:
-        with _view(args) as shown, ViewServer(shown, args.host, args.port,
-                                              may_set=local or args.allow_set) as server:
-            if not local:
-                what = 'see the arm and set gains' if args.allow_set else 'see this page'
-                print(f'gms_flex view: warning: listening on {args.host}: whoever reaches that '
-                      f'address can {what}; there is no encryption and no password',
-                      file=sys.stderr, flush=True)
+        with _view(args) as shown, ViewServer(shown, args.port) as server:
             print(f'{server.url}  (Ctrl-C ends it)', flush=True)
             if args.open:
                 webbrowser.open(server.url)

@@ -4,7 +4,6 @@
 """The page over HTTP: who may ask, a few fixed addresses, nothing of the file system."""
 
 import base64
-from errno import EADDRNOTAVAIL
 import hmac
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -12,7 +11,6 @@ from importlib.resources import files
 import ipaddress
 import json
 import secrets
-import socket
 import threading
 from urllib.parse import parse_qs, urlsplit
 
@@ -41,77 +39,37 @@ class _BadRequest(Exception):
     """What was asked for makes no sense; the message says why."""
 
 
-class Access:
-    """Rules for the requests of one server; its ``token`` comes with every change."""
+def refusal_of_host(host) -> str:
+    """
+    Return why a request to this ``Host`` is refused, '' if it is not.
 
-    def __init__(self, host=LOOPBACK, may_set=True):
-        self.local = is_loopback(host)
-        self.may_set = may_set
-        self.token = secrets.token_urlsafe(24)
-        self._host = host.lower()
-
-    def refusal_of_host(self, host) -> str:
-        """
-        Return why a request to this ``Host`` is refused, '' if it is not.
-
-        A page elsewhere can make its own name point here (DNS rebinding) and would then be of
-        the same origin; a name that is not ours is therefore no way in.
-        """
-        name = _name(f'//{host or ""}')
-        if name == 'localhost' or name == self._host:
+    A page elsewhere can make its own name point here (DNS rebinding) and would then be of the
+    same origin; a name that is not ours is therefore no way in.
+    """
+    try:
+        name = urlsplit(f'//{host or ""}').hostname or ''
+        if name == 'localhost' or ipaddress.ip_address(name).is_loopback:
             return ''
-        if is_loopback(name) or (not self.local and (
-                _is_address(name) or name == socket.gethostname().lower())):
-            return ''
-        return f'this server is not {host!r}: open the address it printed'
-
-    def refusal_of_change(self, headers) -> str:
-        """Return why a request with these headers must not change anything, else ''."""
-        origin, site = headers.get('Origin'), headers.get('Sec-Fetch-Site', 'same-origin')
-        if origin is not None and urlsplit(origin).netloc.lower() != (
-                headers.get('Host') or '').lower():
-            return f'a page of {origin} may not change parameters here'
-        if site not in ('same-origin', 'none'):
-            return 'a page of another site may not change parameters here'
-        if not hmac.compare_digest((headers.get('X-Token') or '').encode(),
-                                   self.token.encode()):
-            return 'the token of the page is missing or old: load the page again'
-        if not self.may_set:
-            return ('parameters can only be seen from here: start gms_flex view without --host, '
-                    'or with --allow-set')
-        return ''
-
-
-def is_loopback(host) -> bool:
-    """Return whether an address or name is this machine alone."""
-    if host.lower() == 'localhost':
-        return True
-    try:
-        return ipaddress.ip_address(host.strip('[]')).is_loopback
     except ValueError:
-        return False
+        pass
+    return f'this server is not {host!r}: open the address it printed'
 
 
-def _is_address(name):
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
-
-
-def _name(url):
-    try:
-        return (urlsplit(url).hostname or '').lower()
-    except ValueError:
-        return ''
+def refusal_of_change(headers, token) -> str:
+    """Return why a request with these headers must not change anything, else ''."""
+    origin, site = headers.get('Origin'), headers.get('Sec-Fetch-Site', 'same-origin')
+    if origin is not None and urlsplit(origin).netloc.lower() != (
+            headers.get('Host') or '').lower():
+        return f'a page of {origin} may not change parameters here'
+    if site not in ('same-origin', 'none'):
+        return 'a page of another site may not change parameters here'
+    if not hmac.compare_digest((headers.get('X-Token') or '').encode(), token.encode()):
+        return 'the token of the page is missing or old: load the page again'
+    return ''
 
 
 def _way_out(error):
-    """Return what to do when an address cannot be listened on."""
-    if isinstance(error, socket.gaierror) or getattr(error, 'errno', None) == EADDRNOTAVAIL:
-        return ('--host must be an address of this machine, such as 127.0.0.1, or 0.0.0.0 for all '
-                'of them')
+    """Return what to do when a port cannot be listened on."""
     if isinstance(error, PermissionError):
         return 'ports below 1024 are for root; name another --port, or --port 0 for a free one'
     return ('is another gms_flex view running there? Name another --port, or --port 0 for a free '
@@ -120,30 +78,29 @@ def _way_out(error):
 
 class ViewServer(ThreadingHTTPServer):
     """
-    Serve one view until it is closed; ServerError if the address cannot be listened on.
+    Serve one view to this machine until it is closed; ServerError if the port is taken.
 
     A view has ``live`` (bool) and ``session()``; a bag ``frames(level, chunk)`` and ``plots(begin,
     end, points)``, a live one ``since(number, wait)``, ``parameters()``, ``set_parameter(name,
-    value)`` and ``call(name)``. Port 0 uses a free one; ``may_set`` lets the page set parameters.
+    value)`` and ``call(name)``. Port 0 uses a free one; the ``token`` of the page comes with every
+    change.
     """
 
     daemon_threads = True
     block_on_close = False
 
-    def __init__(self, view, host=LOOPBACK, port=0, *, may_set=True):
-        self.view, self.access = view, Access(host, may_set)
+    def __init__(self, view, port=0):
+        self.view, self.token = view, secrets.token_urlsafe(24)
         shared = files('gms_flex_control.reports')
         self.files = {file.name: file.read_bytes()
                       for file in (files('gms_flex_control.view') / 'assets').iterdir()} | {
             name: (shared / path).read_bytes() for name, path in _SHARED.items()}
         self.stopped = threading.Event()
-        if ':' in host:
-            self.address_family = socket.AF_INET6
         try:
-            super().__init__((host, port), _Handler)
-        except (OSError, OverflowError) as error:
-            reason = getattr(error, 'strerror', None) or str(error)
-            raise ServerError(f'{host}:{port} cannot be listened on ({reason.lower()}); '
+            super().__init__((LOOPBACK, port), _Handler)
+        except OSError as error:
+            raise ServerError(f'{LOOPBACK}:{port} cannot be listened on '
+                              f'({(error.strerror or str(error)).lower()}); '
                               f'{_way_out(error)}') from error
         self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), name='http',
                                         daemon=True)
@@ -151,8 +108,7 @@ class ViewServer(ThreadingHTTPServer):
     @property
     def url(self) -> str:
         """Return the address of the page (str)."""
-        host, port = self.server_address[:2]
-        return f'http://{f"[{host}]" if ":" in host else host}:{port}/'
+        return f'http://{LOOPBACK}:{self.server_address[1]}/'
 
     def __enter__(self):
         """Begin to serve."""
@@ -188,7 +144,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Print nothing: the terminal belongs to whoever started the tool."""
 
     def _answer(self, method):
-        refusal = self.server.access.refusal_of_host(self.headers.get('Host'))
+        refusal = refusal_of_host(self.headers.get('Host'))
         if refusal:
             self._refuse(HTTPStatus.FORBIDDEN, refusal)
             return
@@ -204,11 +160,11 @@ class _Handler(BaseHTTPRequestHandler):
         view, name = self.server.view, path.removeprefix('/assets/')
         if path == '/':
             page = self.server.files['index.html']
-            self._send(page.replace(b'{token}', self.server.access.token.encode()), 'html')
+            self._send(page.replace(b'{token}', self.server.token.encode()), 'html')
         elif path.startswith('/assets/') and name in self.server.files:
             self._send(self.server.files[name], name.rpartition('.')[2])
         elif path == '/api/session':
-            self._send_json(view.session() | {'may_set': self.server.access.may_set})
+            self._send_json(view.session())
         elif path == '/api/frames' and not view.live:
             self._send_table(view.frames(_whole(query, 'level'), _whole(query, 'chunk')))
         elif path == '/api/plots' and not view.live:
@@ -224,7 +180,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _post(self, path, _query):
         size = _size(self.headers.get('Content-Length'))
         body = self.rfile.read(size)
-        refusal = self.server.access.refusal_of_change(self.headers)
+        refusal = refusal_of_change(self.headers, self.server.token)
         if refusal:
             self._refuse(HTTPStatus.FORBIDDEN, refusal)
         elif path == '/api/parameters' and self.server.view.live:

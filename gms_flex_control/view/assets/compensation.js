@@ -19,13 +19,11 @@ export class Compensation {
     this.root = card;
     this.other = 'gms';      // what the switch goes to from none
     this.switch = ['none', this.other].map((mode) => {
-      const made = element('button', {type: 'button', 'aria-pressed': 'false',
-                                      disabled: !panel.maySet}, mode);
+      const made = element('button', {type: 'button', 'aria-pressed': 'false'}, mode);
       made.addEventListener('click', () => panel.send(this, made.textContent));
       return made;
     });
-    this.select = element('select', {id: 'compensation-choice', 'aria-label': this.name,
-                                     disabled: !panel.maySet},
+    this.select = element('select', {id: 'compensation-choice', 'aria-label': this.name},
       ...this.choices.map((one) => element('option', {value: one}, one)));
     this.select.addEventListener('change', () => panel.send(this, this.select.value));
     this.answer = element('p', {class: 'answer', role: 'status'});

@@ -19,7 +19,6 @@ export class Controls {
     this.late = element('output', {id: 'robot-late'}, '–');
     this.answer = element('span', {class: 'answer', role: 'status'});
     this.buttons = new Map();
-    this.maySet = session.may_set;
     const groups = GROUPS.map(([name, requests]) => element('div', {
       class: 'requests', role: 'group', 'aria-label': name}, element('span', {}, name),
     ...requests.map(([request, label]) => this.button(request, label, `${name}: ${label}`))));
@@ -33,8 +32,8 @@ export class Controls {
   }
 
   button(request, label, name) {
-    const made = element('button', {type: 'button', id: `ask-${request}`, 'aria-label': name,
-                                    disabled: !this.maySet}, label);
+    const made = element('button', {type: 'button', id: `ask-${request}`, 'aria-label': name},
+      label);
     made.addEventListener('click', () => this.ask(request));
     this.buttons.set(request, made);
     return made;

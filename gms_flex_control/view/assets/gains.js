@@ -30,7 +30,7 @@ class Gain {
     this.slider.addEventListener('input', () => { this.number.value = plain(this.atSlider()); });
     this.slider.addEventListener('change', () => this.set(Number(plain(this.atSlider()))));
     this.number.addEventListener('change', () => this.set(this.number.valueAsNumber));
-    this.number.disabled = this.slider.disabled = !panel.maySet || this.read_only;
+    this.number.disabled = this.slider.disabled = this.read_only;
     this.hold(this.first);
   }
 
@@ -80,7 +80,6 @@ export class Gains {
     this.card = card;
     this.place = compensation;
     this.session = session;
-    this.maySet = session.may_set;
     this.controller = session.controller;
     this.items = [];
     this.status = element('p', {class: 'legend', role: 'status'});
@@ -101,8 +100,8 @@ export class Gains {
   async load() {
     try {
       const found = await (await ask('/api/parameters')).json();
-      this.status.textContent = this.maySet ? 'Set as soon as you let go; the controller refuses '
-        + 'what it cannot use.' : 'Can be seen, not set, from here.';
+      this.status.textContent = 'Set as soon as you let go; the controller refuses what it '
+        + 'cannot use.';
       this.build(found);
     } catch (error) {
       this.status.textContent = error.message;
