@@ -20,6 +20,7 @@ from typing import NamedTuple
 from bench.hidden_robots.hide import seeds_of
 from bench.identification_simulated import simulate_identification
 from bench.journal import fingerprint, run_kept
+from bench.known import known_presliding, known_values
 from gms_flex_control.answer import align
 from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.options import add_verb, option, out_folder, Verb, WORKERS
@@ -29,7 +30,6 @@ from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify, Options
-from gms_flex_control.identification.outcome import known_presliding, known_values
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from bench.identification_simulated import simulate_identification
 from bench.journal import digest_of, fingerprint, run_kept
+from bench.known import known_values, presliding_difference
 from gms_flex_control.answer import align
 from gms_flex_control.cli.options import (
     add_verb,
@@ -31,8 +32,6 @@ from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.outcome import (
     Estimate,
     Interval,
-    known_values,
-    presliding_difference,
 )
 from gms_flex_control.schema.build import controller_values, robot_values
 from gms_flex_control.schema.files import load_controller, load_robot

@@ -46,7 +46,7 @@ def identification(joints=2, **changes):
         'robot': robot, 'believed': believed, 'sources': ('bags/a', 'bags/b'),
         'joints': tuple(joint_result(robot, truth, j) for j in range(joints)), 'holdouts': (),
         'duration': 412.5, 'period': 2e-3, 'warnings': ('3 samples were lost.',),
-        'seconds': 21.7, 'recorded': '2026-03-01 14:05 UTC'}
+        'seconds': 21.7}
     return Identification(**fields | changes)
 
 

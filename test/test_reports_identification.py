@@ -10,13 +10,11 @@ import re
 import warnings
 
 from gms_flex_control.answer import Answer
-from gms_flex_control.file_io import robot_file
 from gms_flex_control.identification.outcome import FrictionMap, Interval
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.reports.page import Curve, Report
 from gms_flex_control.reports.pictures import loops_figure, map_figure
-from gms_flex_control.schema.files import load_robot
 from html_page import Page
 from identified import ERRORS, identification
 import numpy as np
@@ -49,15 +47,14 @@ def test_page_and_pictures_of_each_joint_are_written(tmp_path):
         assert (tmp_path / name).read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
     for part in ('3 samples were lost.', 'Coulomb + viscous', 'slips only after 0.149 rad',
                  'NOT identifiable from these data: stiffness[0]', 'NOT IDENTIFIABLE, AT BOUND',
-                 '(0.1224)', '0.1056 .. 0.1144', 'chosen', 'Fig. 3', 'Fig. 4', '2026-03-01'):
+                 '(0.1224)', '0.1056 .. 0.1144', 'chosen', 'Fig. 3', 'Fig. 4'):
         assert part in html, part
     assert html.index('Summary') < html.index('joint1: parameters')
 
 
 def test_the_charts_carry_the_data_of_the_identification(tmp_path):
     made = identification(1)
-    truth = load_robot(robot_file())
-    names, _ = written(made, tmp_path, beside=truth)
+    names, _ = written(made, tmp_path)
     page = Page((tmp_path / names[0]).read_text('utf-8'))
     charts, arrays = json.loads(page.data)['charts'], page.arrays()
     result = made.joints[0]
@@ -73,7 +70,6 @@ def test_the_charts_carry_the_data_of_the_identification(tmp_path):
     chart, line = lines['model, held out']
     shown = arrays[line['y']]
     np.testing.assert_array_equal(np.isfinite(shown), result.traces[0].held_out)
-    assert 'forward, true' in lines and 'true' in lines
 
 
 def test_pictures_show_what_was_fitted():
@@ -97,12 +93,12 @@ def test_a_joint_that_tells_little_is_reported_all_the_same(tmp_path):
         friction_map=FrictionMap(none, none, none.astype(bool)), steady_velocity=none,
         steady_torque=none, warnings=('The joint hardly moves.',), held_out=ERRORS._replace(
             **dict.fromkeys(ERRORS._fields, np.nan)))
-    made = replace(made, joints=(result,), warnings=(), recorded='')
-    names, html = written(made, tmp_path, beside=load_robot(robot_file()))
+    made = replace(made, joints=(result,), warnings=())
+    names, html = written(made, tmp_path)
     assert names == ['report.html', 'map_joint1.png', 'presliding_joint1.png']
     assert 'The joint hardly moves.' in html and 'no presliding motion' in html
     assert 'nan' not in html.lower().replace('nanmax', '')
-    text = identification_text(made, beside=load_robot(robot_file()))
+    text = identification_text(made)
     assert 'The joint hardly moves.' in text and 'nan' not in text
 
 
@@ -115,18 +111,15 @@ def test_names_neither_leave_the_folder_nor_collide_nor_break_the_page(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ['out']
 
 
-@pytest.mark.parametrize('beside', [False, True])
-def test_the_terminal_table_is_narrow_and_says_what_is_known(beside):
+def test_the_terminal_table_is_narrow_and_says_what_is_known():
     made = identification()
     wide = replace(made.joints[1], joint='a_joint_with_a_name_that_goes_on_and_on',
                    warnings=('word ' * 60,))
-    made = replace(made, joints=(made.joints[0], wide), sources=('bag ' * 60,)) if not beside \
-        else made
-    text = identification_text(made, beside=load_robot(robot_file()) if beside else None)
+    text = identification_text(replace(made, joints=(made.joints[0], wide),
+                                       sources=('bag ' * 60,)))
     assert max(map(len, text.splitlines())) < 100
     static = next(line for line in text.splitlines() if line.startswith('forward.static'))
     assert static.split()[:6] == ['forward.static', 'N', 'm', '0.11', '0.1056', '..']
-    assert static.endswith('0.1079') == beside
     assert 'NOT IDENTIFIABLE' in text and 'slips only after' in text
     assert 'C+v [%]' in text and '12' in text
     assert ('presliding curve: at most 2 % of F_s off' in text) == beside

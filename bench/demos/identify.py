@@ -11,6 +11,7 @@ import re
 import time
 from typing import NamedTuple
 
+from bench.known import beside_truth
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.cli.demo import files_of, plan_of, RATE, step_loops
 from gms_flex_control.cli.options import add_verb, JSON, option, out_folder, Verb
@@ -112,8 +113,8 @@ def fit_experiment(out, bag, experiment) -> str:
     truth = load_robot(robot_file())
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')
-    write_identification_report(found, out, beside=truth, robot=[out / 'believed_robot.yaml'])
-    return identification_text(found, beside=truth)
+    write_identification_report(found, out, robot=[out / 'believed_robot.yaml'])
+    return f'{identification_text(found)}\n\n{beside_truth(found, truth)}'
 
 
 def _track(out):

@@ -6,10 +6,8 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from gms_flex_control.friction.gms import steady_friction
 from gms_flex_control.params.arm import in_currents, in_units
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.schema.build import robot_values
 import numpy as np
 
 CONFIDENT = 1.959964  # standard deviations of a normal distribution: 95 %, two-sided
@@ -142,7 +140,6 @@ class Identification:
     period: float         # sample [s]
     warnings: tuple       # of the data as a whole
     seconds: float        # how long the fit took
-    recorded: str = ''    # when, such as '2026-03-01 14:05 UTC'; '' if not known
     described: bool = True  # whether ``believed`` is what a file says, not a placeholder
     currents: bool = False  # efforts are currents, torques and inertias are per torque constant
 
@@ -306,72 +303,7 @@ def _joined(mentions):
 def data_sentence(identification: Identification) -> str:
     """Return what data an Identification rests on, how fitted and what was held out."""
     names = ', '.join(identification.sources)
-    recorded = f', recorded {identification.recorded}' if identification.recorded else ''
     held = (f"held out: {', '.join(identification.holdouts)}" if identification.holdouts
             else 'blocks of time held out')
     return (f'{identification.duration:.4g} s at {1.0 / identification.period:.4g} Hz from '
-            f'{names}{recorded}; {held}')
-
-
-def known_values(robot: RobotParams, found: RobotParams, joint: str) -> dict:
-    """
-    Return the parameters of one joint of a known robot by the names of estimates.
-
-    Blocks are matched in the order they slip in the robot ``found``; they are left out where
-    their number differs, since then no block corresponds to another.
-    """
-    values = {}
-    if joint not in robot.joints:
-        return values
-    for name, value in robot_values(robot).items():
-        if f'.{joint}.' in name and not isinstance(value, list):
-            values[name] = value
-    known, mine = (_slip_order(each, joint) for each in (robot, found))
-    if len(known) == len(mine):
-        j = robot.joints.index(joint)
-        for theirs, own in zip(known, mine, strict=True):
-            for part in ('stiffness', 'weight'):
-                values[f'friction.{joint}.{part}[{own}]'] = float(
-                    getattr(robot.friction, part)[j, theirs])
-    return values
-
-
-def _slip_order(robot, joint):
-    j = robot.joints.index(joint)
-    stiffness, weight = robot.friction.stiffness[j], robot.friction.weight[j]
-    used = np.flatnonzero(weight > 0.0)
-    return used[np.argsort(weight[used] / np.maximum(stiffness[used], 1e-300))]
-
-
-def known_steady(robot: RobotParams, joint: str, velocity: np.ndarray) -> np.ndarray:
-    """Return the steady friction [N m] of one joint at ``velocity`` (V,) [rad/s], Eq. (6)."""
-    tiled = np.tile(np.asarray(velocity, dtype=float)[:, None], robot.n_joints)
-    return steady_friction(tiled, robot.friction)[:, robot.joints.index(joint)]
-
-
-def known_presliding(robot: RobotParams, joint: str, displacement: np.ndarray) -> np.ndarray:
-    """
-    Return the torque [N m] of one joint pushed by (D,) [rad] with unloaded blocks, Eq. (2).
-
-    The mean F_s of both directions where all blocks slip.
-    """
-    friction, j = robot.friction, robot.joints.index(joint)
-    static = 0.5 * (friction.forward.static[j] + friction.backward.static[j])
-    return np.minimum(np.asarray(displacement)[:, None] * friction.stiffness[j],
-                      friction.weight[j] * static).sum(axis=1)
-
-
-def presliding_difference(result: JointResult, robot: RobotParams) -> tuple[float, float]:
-    """
-    Return the largest difference of an identified presliding curve from the known one.
-
-    As a share of the known F_s, and the displacement it occurs at [rad]; NaN without a curve.
-    """
-    x, torque = result.curve[:2]
-    if not len(x):
-        return np.nan, np.nan
-    j = robot.joints.index(result.joint)
-    static = 0.5 * (robot.friction.forward.static[j] + robot.friction.backward.static[j])
-    off = np.abs(torque - known_presliding(robot, result.joint, x)) / static
-    worst = int(np.argmax(off))
-    return float(off[worst]), float(x[worst])
+            f'{names}; {held}')

@@ -44,7 +44,7 @@ def report_json(identification: Identification) -> dict:
     return plain({
         'format': REPORT_FORMAT, 'version': __version__, 'sources': identification.sources,
         'holdouts': identification.holdouts,
-        'recorded': identification.recorded, 'duration': identification.duration,
+        'duration': identification.duration,
         'period': identification.period, 'seconds': identification.seconds,
         'warnings': plain(identification.warnings, words),
         'joints': [plain(_joint(result), words) for result in identification.joints]})

@@ -20,12 +20,10 @@ from gms_flex_control.identification.outcome import (
     DOUBTFUL,
     floor_shares,
     JointResult,
-    known_values,
     NOT_IDENTIFIABLE,
     notes,
     number,
     percent,
-    presliding_difference,
     SET,
     short_name,
     span,
@@ -43,31 +41,26 @@ _AT_FLOOR = 1.3       # error over floor that counts as the floor itself
 _CHANGED = 0.02       # share of an error that is worth a word
 
 
-def identification_text(identification, beside=None) -> str:
-    """Return an identification as lines of text; ``beside`` as of the report."""
+def identification_text(identification) -> str:
+    """Return an identification as lines of text."""
     blocks = [_wrapped(f'{data_sentence(identification)}; fitted in '
                        f'{identification.seconds:.1f} s')]
     blocks += [_wrapped(f'warning: {text}') for text in identification.warnings]
-    for result in identification.joints:
-        known = known_values(beside, identification.robot, result.joint) if beside else None
-        blocks.append(_joint_text(result, known, beside))
+    blocks += [_joint_text(result) for result in identification.joints]
     blocks.append('Errors on held-out data; C+v: Coulomb + viscous alone\n'
                   + align(*held_out_rows(identification.joints)))
     return '\n\n'.join(blocks)
 
 
-def _parameter_rows(result, known=None):
-    """Return header and rows of a joint's parameters; ``known`` values by name, if any."""
-    header = ('parameter', 'unit', 'value', '95 % interval', *(('true',) if known else ()),
-              'to be noted')
+def _parameter_rows(result):
+    """Return header and rows of a joint's parameters."""
+    header = ('parameter', 'unit', 'value', '95 % interval', 'to be noted')
     rows = []
     for estimate in result.estimates:
         lost = standing(estimate) == NOT_IDENTIFIABLE
         value, interval = number(estimate.value), span(estimate.interval)
         rows.append((short_name(estimate.name, result.joint), estimate.unit,
-                     f'({value})' if lost else value, interval,
-                     *((number(known.get(estimate.name, np.nan)),) if known else ()),
-                     _remark(estimate)))
+                     f'({value})' if lost else value, interval, _remark(estimate)))
     return header, rows
 
 
@@ -94,16 +87,12 @@ def held_out_rows(results) -> tuple:
     return header, rows
 
 
-def _joint_text(result, known, beside):
+def _joint_text(result):
     blocks = [(candidate.n_blocks, candidate.chosen) for candidate in result.candidates]
     chosen = next((f', N = {n} blocks' for n, used in blocks if used), '')
     source = {'spring': 'the spring', 'motor': 'the motor torque'}.get(result.side, result.side)
     lines = [f'{_clipped(result.joint)}: friction torque by {source}{chosen}',
-             align(*_parameter_rows(result, known))]
-    if known:
-        share, where = presliding_difference(result, beside)
-        lines.append(f'presliding curve: at most {number(100 * share, 3)} % of F_s off the true '
-                     f'one, at {number(1e3 * where, 3)} mrad')
+             align(*_parameter_rows(result))]
     lines += [_wrapped(f'- {note}') for note in notes(result)]
     lines += [_wrapped(f'warning: {text}') for text in result.warnings]
     return '\n'.join(lines)

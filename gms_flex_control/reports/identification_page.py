@@ -8,9 +8,6 @@ from pathlib import Path
 from gms_flex_control.identification.outcome import (
     data_sentence,
     joint_sentences,
-    known_presliding,
-    known_steady,
-    known_values,
     NOT_IDENTIFIABLE,
     notes,
     number,
@@ -33,45 +30,34 @@ _SYMBOLS = {'static': 'F_s', 'coulomb': 'F_c', 'velocity': 'v_s', 'viscous': 'σ
 _BLOCK_SYMBOLS = {'stiffness': 'k', 'weight': 'α'}
 
 
-def write_identification_report(identification, folder, *, beside=None, robot=()) -> list:
+def write_identification_report(identification, folder, *, robot=()) -> list:
     """
     Write report.html and the PNGs to a folder; return their paths, the page first.
 
-    ``beside`` (RobotParams) is friction known otherwise, such as that of a simulated plant, drawn
-    and listed as true; ``robot`` are the files of the robot that was believed.
+    ``robot`` are the files of the robot that was believed.
     """
     folder, words = Path(folder), identification.in_units
     answer = identification_answer(identification, folder, robot)
     report = Report('Friction identification', answer, data_sentence(identification), words)
     worst = worst_joint(identification)
-    _add_map(report, worst, _known_curves(worst, beside)[0])
+    _add_map(report, worst)
     _add_summary(report, identification)
     for result in identification.joints:
-        _add_joint(report, result, identification, beside, opened=result is worst)
-    return [report.write(folder / 'report.html'), *_save_pictures(identification, folder, beside)]
+        _add_joint(report, result, opened=result is worst)
+    return [report.write(folder / 'report.html'), *_save_pictures(identification, folder)]
 
 
-def _save_pictures(identification, folder, beside):
+def _save_pictures(identification, folder):
     """Yield the path of each picture for print, written."""
     words = identification.in_units
     for i, result in enumerate(identification.joints):
         stem = file_stem(result.joint)
         clash = any(file_stem(other.joint) == stem for other in identification.joints[:i])
         stem = f'{stem}_{i + 1}' if clash else stem
-        steady, curve = _known_curves(result, beside)
-        for name, figure in (('map', map_figure(result, steady)),
-                             ('presliding', loops_figure(result, curve))):
+        for name, figure in (('map', map_figure(result)), ('presliding', loops_figure(result))):
             path = folder / f'{name}_{stem}.png'
             save_figure(figure, path, words)
             yield path
-
-
-def _known_curves(result, beside):
-    """Return steady friction and presliding curve of a robot that is known; None without."""
-    if beside is None or result.joint not in beside.joints:
-        return None, None
-    return (known_steady(beside, result.joint, result.steady_velocity),
-            known_presliding(beside, result.joint, result.curve[0]))
 
 
 def _add_summary(report, identification):
@@ -95,24 +81,22 @@ def _add_summary(report, identification):
             (report.note(text, warning=True) if warning else report.text(text))
 
 
-def _add_joint(report, result, identification, beside, *, opened):
-    steady, curve = _known_curves(result, beside)
-    known = known_values(beside, identification.robot, result.joint) if beside else None
+def _add_joint(report, result, *, opened):
     report.heading(result.joint)
     report.text('Friction torque taken from ' + (
         'the spring between motor and link.' if result.side == 'spring' else
         'the motor torque, with the motor inertia part of the link.'))
-    _add_parameters(report, result, known)
+    _add_parameters(report, result)
     report.heading(f'{result.joint}: friction over velocity (Fig. 3)', level=3)
     if not opened:
-        _add_map(report, result, steady)
-    _add_map(report, result, steady, log=True)
-    _add_presliding(report, result, curve)
+        _add_map(report, result)
+    _add_map(report, result, log=True)
+    _add_presliding(report, result)
     _add_motion(report, result)
     _add_candidates(report, result)
 
 
-def _add_parameters(report, result, known):
+def _add_parameters(report, result):
     report.heading(f'{result.joint}: parameters', level=3)
     lost = [short_name(estimate.name, result.joint) for estimate in result.estimates
             if standing(estimate) == NOT_IDENTIFIABLE]
@@ -126,11 +110,9 @@ def _add_parameters(report, result, known):
         words = ', '.join(estimate.flags) or kind
         rows.append((short_name(estimate.name, result.joint), _symbol(estimate.name),
                      f'({value})' if kind == NOT_IDENTIFIABLE else value,
-                     *((number(known.get(estimate.name, np.nan), 5),) if known else ()),
                      estimate.unit, words.upper() if kind == NOT_IDENTIFIABLE else words,
                      span(estimate.interval)))
-    report.table(('parameter', 'symbol', 'estimate', *(('true',) if known else ()), 'unit',
-                  'standing', '95 % interval'), rows,
+    report.table(('parameter', 'symbol', 'estimate', 'unit', 'standing', '95 % interval'), rows,
                  'Estimates as in friction.yaml')
     for note in notes(result):
         report.note(note)
@@ -146,7 +128,7 @@ def _symbol(name):
     return _SYMBOLS.get(leaf, '')
 
 
-def _add_map(report, result, known, log=False):
+def _add_map(report, result, log=False):
     """Add friction over velocity, or that against the motion over the logarithm of speed."""
     measured, fit, curves = result.friction_map, result.steady_velocity, []
     for i, (sign, name, _) in enumerate(DIRECTIONS):
@@ -157,18 +139,15 @@ def _add_map(report, result, known, log=False):
             curves.append(Curve(label, turn * measured.velocity[rows],
                                 turn * measured.torque[rows], role, points=True))
         rows = sign * fit > 0.0
-        curves += [Curve(f'{name}, {kind}', turn * fit[rows], turn * torque[rows], role,
-                         dashed=torque is known)
-                   for kind, torque, role in (('fitted', result.steady_torque, f'c{i + 3}'),
-                                              ('true', known, 'reference'))
-                   if torque is not None]
+        curves.append(Curve(f'{name}, fitted', turn * fit[rows],
+                            turn * result.steady_torque[rows], f'c{i + 3}'))
     title, x = (('friction against the motion', 'speed') if log else
                 ('friction over velocity, measured and fitted', 'velocity'))
     report.xy_chart(f'{result.joint}: {title}', curves, f'{x} [rad/s]', 'friction torque [N m]',
                     log_x=log)
 
 
-def _add_presliding(report, result, known):
+def _add_presliding(report, result):
     loops = []
     for i, loop in enumerate(result.loops):
         hidden, label = i >= MOST_LOOPS, short_label(loop.label)
@@ -180,8 +159,6 @@ def _add_presliding(report, result, known):
     curves = [Curve('fitted', 1e3 * x, torque, 'c0'),
               Curve('95 % low', 1e3 * x, low, 'c5', dashed=True),
               Curve('95 % high', 1e3 * x, high, 'c5', dashed=True)]
-    if known is not None:
-        curves.append(Curve('true', 1e3 * x, known, 'reference', dashed=True))
     report.heading(f'{result.joint}: presliding (Fig. 4)', level=3)
     if not len(x):
         report.note('No stiffness is identifiable from these data: no curve from rest is drawn.')

@@ -29,12 +29,8 @@ _LOW_PASS, _SLOW = 8.0, 3.0  # of predicted torques, beside measured ones too [H
 GIVEN, BEFORE, AFTER, FLOOR, OWN = '0.65', COLOURS[1], COLOURS[0], '0.35', COLOURS[2]
 
 
-def map_figure(result, reference=None) -> Figure:
-    """
-    Return friction over velocity of a JointResult with the fitted Stribeck curves (Fig. 3).
-
-    ``reference`` is steady friction known otherwise, at ``result.steady_velocity`` [N m].
-    """
+def map_figure(result) -> Figure:
+    """Return friction over velocity of a JointResult with the fitted Stribeck curves (Fig. 3)."""
     figure, (linear, log) = side_by_side(2)
     measured, fit = result.friction_map, result.steady_velocity
     for sign, name, colour in DIRECTIONS:
@@ -46,12 +42,9 @@ def map_figure(result, reference=None) -> Figure:
             log.plot(sign * measured.velocity[rows], sign * measured.torque[rows], 'o', **look,
                      label=f'{name}, measured' if steady else None)
         rows = sign * fit > 0.0
-        for curve, style, label in ((result.steady_torque, '-', f'{name}, fitted'),
-                                    (reference, 'k:', None)):
-            if curve is not None:
-                look = {'color': colour} if label else {}
-                linear.plot(fit[rows], curve[rows], style, **look)
-                log.plot(sign * fit[rows], sign * curve[rows], style, **look, label=label)
+        torque = result.steady_torque[rows]
+        linear.plot(fit[rows], torque, color=colour)
+        log.plot(sign * fit[rows], sign * torque, color=colour, label=f'{name}, fitted')
     log.legend(loc='best')
     labelled(figure, [linear, log], [
         ('velocity [rad/s]', 'friction torque [N m]'),
@@ -61,12 +54,8 @@ def map_figure(result, reference=None) -> Figure:
     return figure
 
 
-def loops_figure(result, reference=None) -> Figure:
-    """
-    Return hysteresis loops of a JointResult (Fig. 4) and the presliding curve, 95 % band.
-
-    ``reference`` is a presliding curve known otherwise, at ``result.curve[0]`` [N m].
-    """
+def loops_figure(result) -> Figure:
+    """Return hysteresis loops of a JointResult (Fig. 4) and the presliding curve, 95 % band."""
     figure, (loops, curve) = side_by_side(2)
     for i, loop in enumerate(result.loops[:MOST_LOOPS]):
         loops.plot(1e3 * loop.displacement, loop.torque, color=COLOURS[0], linewidth=0.9,
@@ -83,8 +72,6 @@ def loops_figure(result, reference=None) -> Figure:
         curve.fill_between(1e3 * x, low, high, color=COLOURS[0], alpha=0.25, linewidth=0,
                            label='95 % band')
         curve.plot(1e3 * x, torque, color=COLOURS[0], label='fitted')
-        if reference is not None:
-            curve.plot(1e3 * x, reference, 'k:', label='true')
         curve.legend(**above, ncols=3)
     else:
         _instead(curve, 'no stiffness is identifiable')
