@@ -40,9 +40,9 @@ _SOURCES = ('discrepancy', 'design', 'effects', 'simulation')
 ONE_WAY = {'trajectory.type': 'via_points', 'trajectory.move_time': 2.0,
            'trajectory.hold_time': 0.0, 'trajectory.joint1.points': [0.0, 0.3, 0.6, 0.9],
            'trajectory.joint2.points': [0.0, 0.4, 0.8, 1.2]}
-CREEPING = {'trajectory.type': 'constant_velocity', 'trajectory.travel': 1.2,
-            'trajectory.ramp_time': 1.0, 'trajectory.joint1.velocity': 0.1,
-            'trajectory.joint2.velocity': 0.15}
+CREEPING = {'trajectory.type': 'velocity_levels', 'trajectory.durations': [8.0],
+            'trajectory.ramp_time': 1.0, 'trajectory.joint1.velocities': [0.1],
+            'trajectory.joint2.velocities': [0.15]}
 
 
 def swings(amplitude, period, ramp=2.0):

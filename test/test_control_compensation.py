@@ -54,7 +54,7 @@ def test_models_estimate_sliding_friction_as_eq_6(arm, mode):
     """At 0.2 rad/s, both joints long in sliding, within 1 % of the curve at the true speed."""
     robot, gains = arm
     gains = replace(gains, observer_gain=np.zeros(2), sign_slope=np.full(2, 1e3))
-    motion = builders.constant_velocity(np.full(2, 0.2), 1.6)
+    motion = builders.velocity_levels(np.full(2, 0.2), 8.0)
     found = run(robot, gains, mode, motion, duration=7.0)
     sliding = slice(2500, 3400)
     expected = steady_friction(found.true[sliding, 1], robot.friction)

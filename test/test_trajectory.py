@@ -19,7 +19,7 @@ MOTIONS = {
     'via points': builders.via_points([[0.0, 0.0], [1.0, -0.5], [0.2, 0.7]], 1.5, 0.4),
     'polynomial': builders.polynomial([1.0, 0.6], 2.0, 0.5),
     'sinusoid': builders.sinusoid([1.0, -0.5], [2.0, 3.0], phase=[0.4, 0.0]),
-    'constant velocity': builders.constant_velocity([0.5, -0.25], 0.8),
+    'constant velocity': builders.velocity_levels([0.5, -0.25], 1.6),
     'sliding': builders.sliding([0.5, -0.25], 0.6, 1.3, 3.0),
     'approach': builders.approach(
         np.random.default_rng(0).standard_normal((5, 2)),
@@ -132,18 +132,6 @@ def test_sliding_never_reverses():
     np.testing.assert_allclose(body, exact[:, None] * [1.0, -0.5], atol=1e-9)
 
 
-def test_a_torque_ramp_is_a_triangle_from_zero_to_zero():
-    trajectory = builders.torque_ramp([0.1, -0.05], 0.02, repeats=2)
-    assert trajectory.quantity == 'effort'
-    assert trajectory.end == pytest.approx(0.1 / 0.02 * 8)
-    t = np.array([0.0, 2.5, 5.0, 10.0, 15.0, 25.0, 35.0, 40.0, 50.0])
-    exact = np.array([0.0, 0.5, 1.0, 0.0, -1.0, 1.0, -1.0, 0.0, 0.0])
-    np.testing.assert_allclose(trajectory.sample(t)[:, 0], exact[:, None] * [0.1, -0.05],
-                               atol=1e-12)
-    slopes = trajectory.sample(np.array([1.0, 6.0, 39.0]))[:, 1]
-    np.testing.assert_allclose(slopes, [[0.02, -0.01], [-0.02, 0.01], [0.02, -0.01]], atol=1e-12)
-
-
 @pytest.mark.parametrize('seed', range(3))
 def test_an_approach_leaves_any_state_and_enters_smoothly(seed):
     """All five rows are those of the state now and of the beginning 1.5 s later."""
@@ -163,7 +151,7 @@ def test_no_time_is_lost_where_the_robot_is_already():
     moved = builders.approach(builders.at_rest([0.0, 0.0]), builders.polynomial([1, 1], 2.0, 0.5),
                               7.0)
     assert moved.end == pytest.approx(7.0 + 5.5)
-    effort = builders.approach(np.ones((5, 1)), builders.torque_ramp([0.1], 0.1), 7.0)
+    effort = builders.approach(np.ones((5, 1)), builders.torque_levels([[0.1]], 0.1), 7.0)
     np.testing.assert_allclose(effort.sample(7.5)[0], [0.05])
 
 
@@ -174,11 +162,8 @@ def test_no_time_is_lost_where_the_robot_is_already():
     (lambda: builders.sinusoid([1.0], -6.0), 'period must be above 0, got -6.0'),
     (lambda: builders.sinusoid([1.0], np.nan), 'period must be above 0, got nan'),
     (lambda: builders.sinusoid([1.0], 6.0, ramp_time=0.0), 'ramp_time must be above 0, got 0.0'),
-    (lambda: builders.constant_velocity([0.0, 0.0], 1.0), 'velocity must be above 0, got 0.0'),
-    (lambda: builders.constant_velocity([0.1], np.inf), 'travel must be above 0, got inf'),
     (lambda: builders.sliding([0.1], 1.0, 1.0, 1.0), 'below 1, got 1.0: the motion would reverse'),
-    (lambda: builders.torque_ramp([0.1], 0.0), 'rate must be above 0, got 0.0'),
-    (lambda: builders.torque_ramp([0.0], 0.1), 'amplitude must be above 0, got 0.0'),
+    (lambda: builders.torque_levels([[0.1]], 0.0), 'rate must be above 0, got 0.0'),
     (lambda: builders.approach(np.ones((5, 1)), builders.hold([0.0]), 0.0, duration=-1.0),
      'duration must be above 0, got -1.0'),
     (lambda: builders.hold([np.nan]), 'poly of a trajectory must be finite with shape'),
@@ -260,18 +245,17 @@ def test_torques_reach_their_levels_at_the_mean_rate_and_stop_there():
 
 def test_parameters_move_motions_and_hold_torques_against_gravity():
     values = {key.name: key.default for key in trajectory_keys(('a', 'b'))}
-    for kind in ('constant_velocity', 'velocity_levels', 'sliding'):
+    for kind in ('velocity_levels', 'sliding'):
         motion = values | {'trajectory.type': kind, 'trajectory.b.velocities': (0.2,)}
         here = trajectory_from_values(motion, ('a', 'b')).sample(np.array([0.0, 2.0]))
         there = trajectory_from_values(motion | {'trajectory.b.offset': -0.7}, ('a', 'b')).sample(
             np.array([0.0, 2.0]))
         assert there[:, 0] - here[:, 0] == pytest.approx(np.array([[0.0, -0.7]] * 2))
         assert np.array_equal(here[:, 1:], there[:, 1:])
-    for kind in ('torque_ramp', 'torque_levels'):
-        torque = trajectory_from_values(
-            values | {'trajectory.type': kind, 'trajectory.a.torque': 0.1,
-                      'trajectory.a.levels': (0.1,), 'trajectory.b.bias': 2.0}, ('a', 'b'))
-        assert torque.sample(0.0)[0] == pytest.approx([0.0, 2.0])
+    torque = trajectory_from_values(
+        values | {'trajectory.type': 'torque_levels', 'trajectory.a.levels': (0.1,),
+                  'trajectory.b.bias': 2.0}, ('a', 'b'))
+    assert torque.sample(0.0)[0] == pytest.approx([0.0, 2.0])
     with pytest.raises(ConfigError, match='same number of levels'):
         trajectory_from_values(values | {'trajectory.type': 'torque_levels',
                                          'trajectory.a.levels': (0.1, 0.2)}, ('a', 'b'))

@@ -16,8 +16,8 @@ from gms_flex_control.params.robot import EncoderParams, LARGEST_SD, LEAST_SD, W
 from gms_flex_control.params.robot import KINDS as UNCERTAIN
 
 EXPERIMENTS = ('constant_velocity', 'break_away', 'presliding', 'sliding')
-TRAJECTORIES = ('hold', 'sinusoid', 'polynomial', 'via_points', 'constant_velocity',
-                'velocity_levels', 'torque_ramp', 'torque_levels', 'sliding', 'fourier')
+TRAJECTORIES = ('hold', 'sinusoid', 'polynomial', 'via_points', 'velocity_levels',
+                'torque_levels', 'sliding', 'fourier')
 
 MODE = Key('mode', 'paced by the clock, or each sample waits for its command', default='realtime',
            choices=('realtime', 'lockstep'))
@@ -109,27 +109,23 @@ _TRAJECTORY = (
     Key('ramp_time', 'ramp of a sinusoid; settling of the others', 's', 3.0, 1e-3, 1e4, live=True),
     Key('move_time', 'duration of a move between rests', 's', 5.0, 1e-3, 1e4, live=True),
     Key('hold_time', 'duration of a rest', 's', 5.0, 0.0, 1e4, live=True),
-    Key('repeats', 'cycles of polynomial and torque ramp', '', 1, 1, 100000, live=True),
-    Key('travel', 'angle at constant velocity', 'rad', 0.5, 1e-6, 1e3, live=True),
+    Key('repeats', 'cycles of polynomial and Fourier series', '', 1, 1, 100000, live=True),
     Key('duration', 'of sliding', 's', 5.0, 1e-3, 1e5, live=True),
     Key('modulation', 'relative variation of sliding', '', 0.5, 0.0, 0.99, live=True),
-    Key('rate', 'slope of a torque ramp, mean slope between torque levels', 'N m/s', 0.02, 1e-9,
-        1e6, live=True),
+    Key('rate', 'mean slope between torque levels', 'N m/s', 0.02, 1e-9, 1e6, live=True),
     Key('durations', 'of the velocity levels', 's', (1.0,), 1e-3, 1e5, live=True))
 # below trajectory.<joint>
 _MOTION = (
     Key('amplitude', 'of sinusoid and polynomial', 'rad', 1.0, live=True),
-    Key('torque', 'amplitude of a torque ramp', 'N m', 0.0, live=True),
     Key('period', 'of sinusoid and sliding', 's', 6.0, 1e-3, 1e4, live=True),
     Key('phase', 'of the sinusoid', 'rad', 0.0, live=True),
-    Key('velocity', 'of constant velocity and sliding', 'rad/s', 0.1, live=True),
+    Key('velocity', 'of sliding', 'rad/s', 0.1, live=True),
     Key('velocities', 'velocity levels', 'rad/s', (0.0,), live=True),
-    Key('offset', 'where constant velocity, velocity levels and sliding begin', 'rad', 0.0,
+    Key('offset', 'where velocity levels, sliding and Fourier series begin', 'rad', 0.0,
         live=True),
     Key('levels', 'torque levels, from zero and back to zero', 'N m', (0.0,), live=True),
-    Key('bias', 'added to torque ramp and torque levels, against gravity', 'N m', 0.0, live=True),
-    Key('travel', 'this far moved ends torque ramp and torque levels, 0 for never', 'rad', 0.0,
-        0.0, live=True),
+    Key('bias', 'added to torque levels, against gravity', 'N m', 0.0, live=True),
+    Key('travel', 'this far moved ends torque levels, 0 for never', 'rad', 0.0, 0.0, live=True),
     Key('points', 'via points, the first included', 'rad', (0.0, 1.0, 0.0), live=True),
     Key('sine', 'amplitudes of the harmonics of a Fourier series', 'rad', (0.0,), live=True),
     Key('cosine', 'the same, a quarter of a wave earlier', 'rad', (0.0,), live=True))

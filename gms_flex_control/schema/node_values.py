@@ -103,13 +103,6 @@ class _Motion:
         """Return one parameter of every joint (list)."""
         return [self._values[f'trajectory.{joint}.{name}'] for joint in self._joints]
 
-    def torques(self) -> list:
-        """Return the amplitudes of a torque ramp; one at least is not zero."""
-        torques = self.each('torque')
-        if not any(torques):
-            raise TrajectoryError('give trajectory.<joint>.torque [N m] of a joint at least')
-        return torques
-
     def rows(self, name) -> list:
         """Return a list per joint as one of all joints per entry; as many of every joint."""
         columns = self.each(name)
@@ -122,10 +115,6 @@ class _Motion:
         """Return a motion from zero as one from where it is to begin."""
         return trajectory.displaced(self.each('offset'))
 
-    def held(self, trajectory) -> Trajectory:
-        """Return a torque with what holds the arm against gravity."""
-        return trajectory.displaced(self.each('bias'))
-
 
 _BUILDERS = {
     'hold': lambda p: builders.hold([0.0 for _ in p.each('amplitude')]),
@@ -134,16 +123,13 @@ _BUILDERS = {
     'polynomial': lambda p: builders.polynomial(p.each('amplitude'), p['move_time'],
                                                 p['hold_time'], p['repeats']),
     'via_points': lambda p: builders.via_points(p.rows('points'), p['move_time'], p['hold_time']),
-    'constant_velocity': lambda p: p.moved(builders.constant_velocity(
-        p.each('velocity'), p['travel'], settle_time=p['ramp_time'])),
     'fourier': lambda p: p.moved(builders.fourier(
         p.rows('sine'), p.rows('cosine'), p.each('period')[0], repeats=p['repeats'],
         ramp_time=p['ramp_time'])),
     'velocity_levels': lambda p: p.moved(builders.velocity_levels(
         p.rows('velocities'), p['durations'], settle_time=p['ramp_time'])),
-    'torque_ramp': lambda p: p.held(builders.torque_ramp(p.torques(), p['rate'],
-                                                         p['repeats'])),
-    'torque_levels': lambda p: p.held(builders.torque_levels(p.rows('levels'), p['rate'])),
+    'torque_levels': lambda p: builders.torque_levels(
+        p.rows('levels'), p['rate']).displaced(p.each('bias')),
     'sliding': lambda p: p.moved(builders.sliding(
         p.each('velocity'), p['modulation'], p.each('period')[0], p['duration'],
         settle_time=p['ramp_time'])),

@@ -212,17 +212,6 @@ def velocity_levels(velocities, durations, *, settle_time=0.5) -> Trajectory:
     return polynomials(starts, scales, polys, end=starts[-1])
 
 
-def constant_velocity(velocity, travel, *, settle_time=0.5) -> Trajectory:
-    """
-    Return one stroke of constant velocity between two rests, from angle zero.
-
-    ``velocity`` (n_joints,) is signed [rad/s]; the fastest joint covers ``travel`` [rad] at it.
-    """
-    fastest = np.max(np.abs(velocity))
-    _positive(travel=travel, settle_time=settle_time, velocity=fastest)
-    return velocity_levels(velocity, travel / fastest, settle_time=settle_time)
-
-
 def sliding(velocity, modulation, period, duration, *, settle_time=1.0) -> Trajectory:
     """
     Return ``dq = velocity (1 + modulation sin(2 pi t / period))`` between two rests.
@@ -250,26 +239,6 @@ def sliding(velocity, modulation, period, duration, *, settle_time=1.0) -> Traje
         [hermite(into, first, settle_time), hermite(last, out, settle_time), constant(out[0])])
     return joined([ways.part(slice(0, 1)), body.shifted(settle_time), ways.part(slice(1, 3))],
                   end=2 * settle_time + duration)
-
-
-def torque_ramp(amplitude, rate, repeats=1) -> Trajectory:
-    """
-    Return slow open-loop torque ramps between plus and minus ``amplitude`` (n_joints,) [N m].
-
-    ``rate`` is the slope of the joint with the largest amplitude [N m/s]; ``repeats`` cycles,
-    from zero to zero.
-    """
-    amplitude = np.asarray(amplitude, dtype=float)
-    _positive(rate=rate, amplitude=np.max(np.abs(amplitude)))
-    quarter = np.max(np.abs(amplitude)) / rate
-    levels = [0.0, *[1.0, -1.0] * int(repeats), 0.0]
-    starts, polys, time = [], [], 0.0
-    for begin, end in zip(levels[:-1], levels[1:], strict=True):
-        starts.append(time)
-        polys.append(_straight(begin * amplitude, np.sign(end - begin) * amplitude / quarter))
-        time += abs(end - begin) * quarter
-    return polynomials([*starts, time], np.ones(len(starts) + 1),
-                       [*polys, constant(0.0 * amplitude)], end=time, quantity='effort')
 
 
 def torque_levels(levels, rate) -> Trajectory:
