@@ -5,11 +5,11 @@
 
 from dataclasses import replace
 
+from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.experiment import simulated
-from gms_flex_control.friction import gms
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.simulation import plant

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import robot_file
-from gms_flex_control.friction.gms import steady_friction
+from gms_flex_control.friction import steady_friction
 from gms_flex_control.identification.outcome import (
     Candidate,
     Estimate,

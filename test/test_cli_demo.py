@@ -7,7 +7,7 @@ import json
 
 from bench import __main__ as bench
 from gms_flex_control.cli.main import main
-from gms_flex_control.data.inspection import summarise
+from gms_flex_control.data.bag import summarise
 from gms_flex_control.data.reader import read_recording
 import numpy as np
 from processes import run_with_nodes

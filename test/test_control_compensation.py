@@ -6,9 +6,9 @@
 from dataclasses import replace
 
 from core_runs import model_with_error, single_axis
+from gms_flex_control import friction as gms
 from gms_flex_control.control import compensation
-from gms_flex_control.friction import gms
-from gms_flex_control.friction.gms import steady_friction, stribeck_level
+from gms_flex_control.friction import steady_friction, stribeck_level
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams

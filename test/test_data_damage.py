@@ -12,8 +12,7 @@ import struct
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.data import cdr
-from gms_flex_control.data.bag import Bag, BagWarning
-from gms_flex_control.data.inspection import summarise
+from gms_flex_control.data.bag import Bag, BagWarning, summarise
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError

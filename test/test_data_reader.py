@@ -10,8 +10,7 @@ import shutil
 import warnings
 
 from gms_flex_control.data import cdr
-from gms_flex_control.data.bag import BagWarning
-from gms_flex_control.data.inspection import summarise
+from gms_flex_control.data.bag import BagWarning, summarise
 from gms_flex_control.data.reader import read_experiment, read_recording
 from gms_flex_control.data.recording import Phase, Recording, Topics
 from gms_flex_control.data.writer import BagWriter, write_recording

@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 
+from gms_flex_control import friction as gms
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.conditions import conditions_of, repeat_conditions
 from gms_flex_control.data.recording import Operation
@@ -40,7 +41,6 @@ from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.dynamics.chain import mass_matrices
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.experiment.simulated import Plan, simulate
-from gms_flex_control.friction import gms
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import Body, carrying
 from gms_flex_control.params.robot import EffectSpec

@@ -18,7 +18,7 @@ from gms_flex_control.discrepancy.evidence import (
 )
 from gms_flex_control.discrepancy.fitting import extended
 from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums, with_effect
-from gms_flex_control.effects.guess import Scales, Travel
+from gms_flex_control.effects.base import Scales, Travel
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest

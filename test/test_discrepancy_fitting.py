@@ -10,7 +10,7 @@ from discrepancy_runs import likelihood_of
 from gms_flex_control.discrepancy.dictionary import allowed
 from gms_flex_control.discrepancy.fitting import is_at_limit, refitted, solve
 from gms_flex_control.discrepancy.likelihood import with_effect
-from gms_flex_control.effects.guess import linear
+from gms_flex_control.effects.base import linear
 from gms_flex_control.effects.registry import bounds_of
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np

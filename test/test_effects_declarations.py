@@ -11,9 +11,8 @@ from discrepancy_runs import likelihood_of
 from gms_flex_control.discrepancy.dictionary import guesses_of
 from gms_flex_control.discrepancy.remainder import VARIABLES
 from gms_flex_control.effects import registry
-from gms_flex_control.effects.base import Stage, Term
+from gms_flex_control.effects.base import Scales, Stage, Term, Travel
 from gms_flex_control.effects.catalogue.friction_level import ViscousError
-from gms_flex_control.effects.guess import Scales, Travel
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
@@ -69,7 +68,7 @@ def test_sizes_an_effect_is_looked_for_with_follow_the_machine(name):
 
 MODULE = """
 from gms_flex_control.effects.base import Parameter, Stage, Term
-from gms_flex_control.effects.guess import linear
+from gms_flex_control.effects.base import linear
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION
 
 

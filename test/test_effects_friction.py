@@ -6,11 +6,11 @@
 from dataclasses import replace
 
 from core_runs import single_axis
+from gms_flex_control import friction as gms
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.effects.catalogue.reading import torque_at_angles
-from gms_flex_control.friction import gms
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EffectSpec

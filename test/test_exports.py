@@ -17,7 +17,7 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.exports import mujoco
 from gms_flex_control.exports import target as friction_targets
 from gms_flex_control.exports.target import export
-from gms_flex_control.friction.gms import steady_friction
+from gms_flex_control.friction import steady_friction
 from gms_flex_control.params.robot import WHOLE_ARM
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_robot

@@ -6,9 +6,8 @@
 import signal
 import time
 
-from gms_flex_control.data.bag import Bag
+from gms_flex_control.data.bag import Bag, summarise
 from gms_flex_control.data.cdr import unpack_joint_state
-from gms_flex_control.data.inspection import summarise
 from gms_flex_control.experiment.driven import executable
 from node_harness import JointState, Lab, stamp_of, STATES
 import pytest

@@ -18,7 +18,7 @@ from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.schema.files import load_robot, save_robot
-from gms_flex_control.view.scene import scene_of
+from gms_flex_control.view.recorded import scene_of
 from identified import identification
 from matplotlib.figure import Figure
 import numpy as np

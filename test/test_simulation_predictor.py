@@ -6,9 +6,9 @@
 from dataclasses import dataclass, replace
 
 from core_runs import push_plant
+from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
-from gms_flex_control.friction import gms
 from gms_flex_control.identification.coordinates import Coordinates, friction_record, MOST_BLOCKS
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, STRIBECK, StribeckParams

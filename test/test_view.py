@@ -18,11 +18,18 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
 from gms_flex_control.file_io import share_path
-from gms_flex_control.friction import gms
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.live import Rows
-from gms_flex_control.view.recorded import BagView, blocks_along, CHUNK, open_bag
-from gms_flex_control.view.scene import extent, places, scene_of, unknown_scene
+from gms_flex_control.view.recorded import (
+    BagView,
+    blocks_along,
+    CHUNK,
+    extent,
+    open_bag,
+    places,
+    scene_of,
+    unknown_scene,
+)
 from gms_flex_control.view.server import refusal_of_host, ViewServer
 import numpy as np
 from processes import TOOL

@@ -12,8 +12,7 @@ from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.file_io import share_path
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.view.recorded import BagView, open_bag
-from gms_flex_control.view.scene import places, scene_of
+from gms_flex_control.view.recorded import BagView, open_bag, places, scene_of
 from gms_flex_control.view.server import ViewServer
 import numpy as np
 import pytest

@@ -15,9 +15,9 @@ from functools import reduce
 
 from bench.hidden_robots.kernels.outside import NAMES, outside_torques, PARAMETERS
 from bench.hidden_robots.truth import Disturbance
+from gms_flex_control import friction as gms
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.dynamics.chain import mass_matrices
-from gms_flex_control.friction import gms
 from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
 import numpy as np
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects.catalogue.spring import SpringOffset
 from gms_flex_control.errors import BagError, ParameterError
-from gms_flex_control.friction.gms import steady_friction
+from gms_flex_control.friction import steady_friction
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams, RobotParams

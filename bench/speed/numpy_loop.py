@@ -11,7 +11,7 @@ encoders, no effects, compensation ``none`` or ``gms_paper``, all joints flexibl
 from typing import NamedTuple
 
 from gms_flex_control.dynamics.chain import matrices
-from gms_flex_control.friction.gms import stribeck_level
+from gms_flex_control.friction import stribeck_level
 import numpy as np
 
 

@@ -12,7 +12,7 @@ from gms_flex_control.cli.terminal import import_ros
 
 def info(args) -> int:
     """Print the summary of a bag; return 0, or 1 for a damaged bag."""
-    from gms_flex_control.data.inspection import summarise
+    from gms_flex_control.data.bag import summarise
     summary = summarise(args.bag)
     print(json.dumps(asdict(summary), indent=2) if args.json else summary.text())
     return int(bool(summary.damage))

@@ -9,6 +9,7 @@ import sys
 from textwrap import fill
 
 from gms_flex_control.cli import each_bag
+from gms_flex_control.cli.each_bag import discrepancy_text
 from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
 from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
@@ -21,7 +22,6 @@ from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.file_io import as_json, write_json
 from gms_flex_control.reports import discrepancy_values as files
 from gms_flex_control.reports.answers import discrepancy_answer
-from gms_flex_control.reports.bags_summary import discrepancy_text
 from gms_flex_control.reports.discrepancy_page import units_of, write_discrepancy_report
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np

@@ -17,7 +17,6 @@ from gms_flex_control.identification import output
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
 from gms_flex_control.identification.identify import identify, Options
-from gms_flex_control.reports import bags_summary
 from gms_flex_control.reports.answers import identification_answer, identification_text
 from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.schema.files import load_robot_to_identify
@@ -29,7 +28,7 @@ def identify_verb(args) -> int:
     refuse_repeated(args.bags, args.holdout)
     options = _options_of(args)
     if args.each:
-        found = each_bag.run_each(args, identify_bag, bags_summary.identification_text)
+        found = each_bag.run_each(args, identify_bag, each_bag.identification_text)
         return int(any(values['reason'] is not None for values in found.values()))
     found, out = _written(args, options, (lambda _: None) if args.json else say), Path(args.out)
     if args.json:

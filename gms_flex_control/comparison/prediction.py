@@ -12,13 +12,13 @@ part of it and judged on the rest. The measured friction is what the link equati
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control import friction as gms
 from gms_flex_control.comparison.study import CONTESTANTS, gains_of
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade, compensation
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.signal_analysis import low_pass
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.friction import gms
 from gms_flex_control.identification import segments
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.params.friction import FrictionParams

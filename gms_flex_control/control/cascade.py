@@ -11,12 +11,12 @@ the model's acceleration and jerk, because encoders leave nothing of a numerical
 
 from functools import cache, lru_cache
 
+from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import compensation, observer
 from gms_flex_control.control.compensation import GMS, GMS_PAPER
 from gms_flex_control.dynamics import chain
-from gms_flex_control.friction import gms
 from gms_flex_control.params.gains import COMPENSATIONS, GAINS
 from gms_flex_control.records import FLOAT
 import numpy as np

@@ -9,10 +9,10 @@ leaves F_hat and two time derivatives in ``work.estimate`` (3, n); ``gms_paper``
 derivatives to the model's acceleration and jerk.
 """
 
+from gms_flex_control import friction as gms
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import observer
 from gms_flex_control.dynamics import chain
-from gms_flex_control.friction import gms
 from gms_flex_control.params.gains import COMPENSATIONS
 import numpy as np
 

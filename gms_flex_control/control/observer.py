@@ -11,10 +11,10 @@ second-order command filter on the estimate alone.
 
 from functools import cache
 
+from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
-from gms_flex_control.friction import gms
-from gms_flex_control.friction.gms import BACKWARD, FORWARD, level_of
+from gms_flex_control.friction import BACKWARD, FORWARD, level_of
 from gms_flex_control.records import FLOAT
 import numpy as np
 

@@ -16,8 +16,7 @@ from gms_flex_control.discrepancy.evidence import NormalEquations
 from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.effects.base import Change, Stage, Term
-from gms_flex_control.effects.guess import Guess, HIGHEST_ORDER
+from gms_flex_control.effects.base import Change, Guess, HIGHEST_ORDER, Stage, Term
 from gms_flex_control.effects.registry import find, names
 from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
 import numpy as np

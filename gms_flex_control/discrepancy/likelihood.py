@@ -39,7 +39,7 @@ from gms_flex_control.discrepancy.whitening import (
     WhitenedRecordings,
     Whitening,
 )
-from gms_flex_control.effects.guess import Scales
+from gms_flex_control.effects.base import Scales
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.params.robot import RobotParams

@@ -17,7 +17,7 @@ from gms_flex_control.discrepancy.samples import (
     smoothing,
 )
 from gms_flex_control.dynamics import chain
-from gms_flex_control.effects.guess import Scales, Travel
+from gms_flex_control.effects.base import Scales, Travel
 import numpy as np
 from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
 

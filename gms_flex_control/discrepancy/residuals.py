@@ -12,6 +12,7 @@ is a function of it.
 
 from functools import partial
 
+from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import derivatives, low_pass
@@ -21,7 +22,6 @@ from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
-from gms_flex_control.friction import gms
 from gms_flex_control.simulation import plant
 import numpy as np
 

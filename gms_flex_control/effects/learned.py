@@ -101,7 +101,7 @@ class Learned(Term):
     discriminated_by = 'another motion over the same range'
     count = KNOTS
     written = True            # belongs into a robot file
-    size = 'friction'         # usual size of a weight, of effects.guess.Scales
+    size = 'friction'         # usual size of a weight, of effects.base.Scales
 
     @classmethod
     def guesses(cls, scales) -> list:

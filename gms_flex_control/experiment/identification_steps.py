@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.friction.gms import steady_friction
+from gms_flex_control.friction import steady_friction
 from gms_flex_control.schema.node_values import trajectory_from_values
 import numpy as np
 

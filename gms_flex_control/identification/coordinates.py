@@ -12,7 +12,7 @@ directions.
 
 from collections.abc import Sequence
 
-from gms_flex_control.friction import gms
+from gms_flex_control import friction as gms
 from gms_flex_control.records import build
 from gms_flex_control.simulation.predictor import (
     ATTRACTION,
@@ -134,7 +134,7 @@ def of_direction(way: int) -> slice:
 
 
 def friction_record(thetas: Sequence[np.ndarray]) -> np.record:
-    """Return the kernels' constants (friction.gms.constants_layout) of all joints' parameters."""
+    """Return the kernels' constants (friction.constants_layout) of all joints' parameters."""
     table = np.stack([theta[:parameter_rows(MOST_BLOCKS, 0)] for theta in thetas], axis=1)
     both = {name: table[[row, PER_DIRECTION + row]] for name, row in (
         ('static', STATIC), ('coulomb', COULOMB), ('velocity', VELOCITY), ('viscous', VISCOUS))}

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control import friction as gms
 from gms_flex_control.data.signal_analysis import low_pass, rms
-from gms_flex_control.friction import gms
 from gms_flex_control.identification.coordinates import Coordinates, friction_record, N_STEADY
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.objective import BLOCK_TIME, Bundle, Evaluation, Objective

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
-from gms_flex_control.friction import gms
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
 from gms_flex_control.identification.segments import own_inertias, Segment
 from gms_flex_control.params.arm import ArmParams

@@ -22,7 +22,7 @@ from gms_flex_control.nodes.topics import stamp_in
 from gms_flex_control.schema.build import robot_from_values
 from gms_flex_control.schema.keys import robot_keys
 from gms_flex_control.view.live import Feed, Rows, SPACING, Status
-from gms_flex_control.view.scene import scene_of, unknown_scene
+from gms_flex_control.view.recorded import scene_of, unknown_scene
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor

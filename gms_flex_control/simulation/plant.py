@@ -11,13 +11,13 @@ neither creates nor destroys energy on average.
 
 from functools import cache, lru_cache
 
+from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
-from gms_flex_control.friction import gms
 from gms_flex_control.records import FLOAT
 import numpy as np
 

@@ -15,9 +15,9 @@ to that interval, zero inside it. Taken as an angle, the reading would pull a st
 breaks away within one count by half a count, most of its whole load.
 """
 
+from gms_flex_control import friction as gms
 from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain
-from gms_flex_control.friction import gms
 import numpy as np
 
 # rows of the friction parameters of one joint; the blocks' stiffness and weight follow
@@ -100,7 +100,7 @@ def level_tangents(j, a, sign, velocity, d_dq, directions, friction, out) -> Non
 def advance_tangents(j, a, displacement, d_displacement, velocity, d_dq, dt, state, directions,
                      friction, d_level, d_torque) -> None:
     """
-    Advance joint ``j`` as friction.gms.advance_joint, and the derivatives of its blocks.
+    Advance joint ``j`` as friction.advance_joint, and the derivatives of its blocks.
 
     One long function: a call with this many arrays costs more than the work on a block.
     """
@@ -223,7 +223,7 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
     period : float
         Sample [s].
     links, friction : numpy.record
-        From dynamics.chain.constants_of and friction.gms.constants_of.
+        From dynamics.chain.constants_of and friction.constants_of.
     carried : ndarray of int, shape (m,)
         First the joint whose parameters move, then those that its motion moves; the others
         are taken as not reacting to the parameters.
@@ -235,7 +235,7 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
     half : ndarray, shape (n,)
         Half an encoder count [rad]; 0 takes readings as exact.
     state, work : numpy.record
-        Of friction.gms.state_layout and simulation.plant.work_layout; overwritten.
+        Of friction.state_layout and simulation.plant.work_layout; overwritten.
     predicted, innovation, jacobian : ndarray, shape (T, n), (T, n) and (T, P)
         Filled: predicted angles, how far the readings lie from them [rad], and the derivative of
         the innovation of the first carried joint, sign reversed.

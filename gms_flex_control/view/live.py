@@ -7,7 +7,7 @@ from collections import deque
 from math import factorial
 import threading
 
-from gms_flex_control.view.scene import column_names, PER_JOINT
+from gms_flex_control.view.recorded import column_names, PER_JOINT
 import numpy as np
 
 WAIT = 0.08          # a row waits so long for what belongs to it [s]

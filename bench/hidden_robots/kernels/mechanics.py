@@ -6,9 +6,9 @@
 from functools import cache
 
 from bench.hidden_robots.kernels import compiled
+from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.effects import table as effect_table
-from gms_flex_control.friction import gms
 from gms_flex_control.records import FLOAT
 import numpy as np
 

@@ -3,8 +3,15 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Effects between the command and the torque of a motor."""
 
-from gms_flex_control.effects.base import LEAST_RELATIVE, Parameter, Stage, Term
-from gms_flex_control.effects.guess import Guess, linear, sizes
+from gms_flex_control.effects.base import (
+    Guess,
+    LEAST_RELATIVE,
+    linear,
+    Parameter,
+    sizes,
+    Stage,
+    Term,
+)
 from gms_flex_control.effects.signals import SUPPLY, TORQUE
 import numpy as np
 

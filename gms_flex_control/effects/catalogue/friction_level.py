@@ -5,8 +5,15 @@
 
 from dataclasses import replace
 
-from gms_flex_control.effects.base import Change, LEAST_RELATIVE, Parameter, Stage, Term
-from gms_flex_control.effects.guess import Guess, linear
+from gms_flex_control.effects.base import (
+    Change,
+    Guess,
+    LEAST_RELATIVE,
+    linear,
+    Parameter,
+    Stage,
+    Term,
+)
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION, TIME
 from gms_flex_control.params.friction import StribeckParams
 from gms_flex_control.params.robot import RobotParams

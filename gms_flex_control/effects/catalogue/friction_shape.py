@@ -5,8 +5,17 @@
 
 import math
 
-from gms_flex_control.effects.base import LEAST_RELATIVE, Parameter, Stage, Term
-from gms_flex_control.effects.guess import Guess, linear, orders, shapes, waves
+from gms_flex_control.effects.base import (
+    Guess,
+    LEAST_RELATIVE,
+    linear,
+    orders,
+    Parameter,
+    shapes,
+    Stage,
+    Term,
+    waves,
+)
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION, LINK_TORQUE, Q_LINK, SPRING
 import numpy as np
 

@@ -5,8 +5,7 @@
 
 from dataclasses import replace
 
-from gms_flex_control.effects.base import Change, Parameter, Stage, Term
-from gms_flex_control.effects.guess import Guess, linear, wave
+from gms_flex_control.effects.base import Change, Guess, linear, Parameter, Stage, Term, wave
 from gms_flex_control.effects.signals import LINK_TORQUE, Q_LINK
 from gms_flex_control.params.robot import RobotParams
 import numpy as np

@@ -6,8 +6,16 @@
 from dataclasses import replace
 import math
 
-from gms_flex_control.effects.base import Change, Parameter, Stage, Term
-from gms_flex_control.effects.guess import HIGHEST_ORDER, linear, orders, waves
+from gms_flex_control.effects.base import (
+    Change,
+    HIGHEST_ORDER,
+    linear,
+    orders,
+    Parameter,
+    Stage,
+    Term,
+    waves,
+)
 from gms_flex_control.effects.signals import (
     DDQ_LINK,
     DDQ_MOTOR,

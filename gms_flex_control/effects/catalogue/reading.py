@@ -3,8 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Effects on what is read: encoders, the stamps of a recording, a base that moves with them."""
 
-from gms_flex_control.effects.base import Parameter, Stage, Term
-from gms_flex_control.effects.guess import Guess, linear, wave
+from gms_flex_control.effects.base import Guess, linear, Parameter, Stage, Term, wave
 from gms_flex_control.effects.signals import (
     DDQ_LINK,
     DDQ_MOTOR,

@@ -5,8 +5,16 @@
 
 from dataclasses import replace
 
-from gms_flex_control.effects.base import Change, Parameter, Stage, Term
-from gms_flex_control.effects.guess import linear, shapes, sizes, wave
+from gms_flex_control.effects.base import (
+    Change,
+    linear,
+    Parameter,
+    shapes,
+    sizes,
+    Stage,
+    Term,
+    wave,
+)
 from gms_flex_control.effects.signals import Q_MOTOR, SPRING, TIME, TORSION, TORSION_RATE
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
