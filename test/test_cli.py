@@ -29,7 +29,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 VERBS = tool.VERBS
 OF_BENCH = tuple(verb for group in bench.GROUPS.values() for verb in group)
-WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export', 'coverage', 'learn', 'real-machines',
+WITHOUT_TABLE = {'urdf', 'view', 'export', 'coverage', 'learn', 'real-machines',
                  'hidden-arms', 'base-parameters', 'growth', 'real-arm', 'paper-method'}
 
 

@@ -79,8 +79,6 @@ OPTIONS = [
         ('--rate 0', '--rate 0'), ('--damping 0.5', 'at least 1'),
         ('--torque-limit 1 2 3', 'each of the 2 joints'),
         ('--robot {robot}', '--torque-limit is required'),
-        ('--intervals nowhere.json', 'give --verify N as well'),
-        ('--verify 1 --intervals nowhere.json', 'cannot be read'),
         ('--out {robot}/tuned', 'is a file; name a folder'),
         ('--out /proc/tuned', '/proc cannot be written'))),
     *((f'score --out {{dir}} {words}', sentence) for words, sentence in (
@@ -114,7 +112,7 @@ def told_of(words, folder, capsys):
 
 
 def test_every_verb_is_tested():
-    assert {*tool.VERBS, *OF_BENCH} == {*WRONG, *BAGS, 'completion'}
+    assert {*tool.VERBS, *OF_BENCH} == {*WRONG, *BAGS}
 
 
 @pytest.mark.parametrize('verb', [*BAGS, *WRONG])

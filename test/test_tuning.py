@@ -187,15 +187,11 @@ def ended_by(limits, robot, gains, rate, duration, motion=None, delay=0):
     return ''
 
 
-def test_draws_stay_within_the_spread_and_within_intervals(arm):
+def test_draws_stay_within_the_spread(arm):
     robot, _ = arm
-    name, block = 'friction.joint1.forward.static', 'friction.joint2.stiffness[3]'
-    intervals = {name: (0.2, 0.21), block: (70.0, 71.0)}
     believed = robot_values(robot)
-    drawn = [trial.draw(robot, intervals, np.random.default_rng(k))[0] for k in range(50)]
+    drawn = [trial.draw(robot, np.random.default_rng(k))[0] for k in range(50)]
     values = [robot_values(one) for one in drawn]
-    assert all(0.2 <= one[name] <= 0.21 for one in values)
-    assert all(70.0 <= one['friction.joint2.stiffness'][3] <= 71.0 for one in values)
     for key, spread in (('arm.joint1.stiffness', 0.2), ('arm.joint2.mass', 0.3),
                         ('friction.joint2.backward.coulomb', 0.3), ('arm.joint1.length', 0.0),
                         ('arm.joint1.motor_inertia', 0.3)):

@@ -18,7 +18,7 @@ import warnings
 from gms_flex_control import __version__
 from gms_flex_control.cli.options import add_examples, add_verb
 from gms_flex_control.cli.verbs import GROUPS
-from gms_flex_control.errors import ConfigError, did_you_mean, GmsFlexError
+from gms_flex_control.errors import did_you_mean, GmsFlexError
 
 OK, FINDING_SAYS_NO, BAD_INPUT = 0, 1, 2
 INTERRUPTED = 130  # as a shell reports SIGINT
@@ -189,17 +189,6 @@ def _interrupted(command):
     """Say that Ctrl-C ended a command; return the exit code."""
     print(f'{command}: interrupted', file=sys.stderr)
     return INTERRUPTED
-
-
-def completion(args) -> int:
-    """Print the code of completion for one shell; return 0."""
-    try:
-        from argcomplete import shellcode
-    except ModuleNotFoundError as error:
-        raise ConfigError("argcomplete is not installed; 'pip install argcomplete' or "
-                          "'apt install python3-argcomplete' adds it") from error
-    print(shellcode(['gms_flex'], shell=args.shell))
-    return OK
 
 
 def _complete(parser):

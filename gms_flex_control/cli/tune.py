@@ -31,7 +31,6 @@ import numpy as np
 def tune(args) -> int:
     """Propose, try, write, verify; return 1 where something asked is not met, else 0."""
     robot, base, demands = _asked(args)
-    intervals = _intervals_asked(args)
     refuse_unwritable(args.out)
     tuned = results.tune(robot, base, demands=demands, amplitude=args.amplitude)
     proposal, trials, values = tuned.proposal, tuned.trials, tuned.to_dict()
@@ -40,7 +39,7 @@ def tune(args) -> int:
         print(tuned.summary())
     if not proposal.unmet:
         if args.verify:
-            values['verify'] = _verified(robot, proposal.gains, demands, intervals, args)
+            values['verify'] = _verified(robot, proposal.gains, demands, args)
             if not args.json:
                 print(units(f"\n{tuning_page.verify_text(values['verify'], robot)}"))
         _write(args, robot, proposal, demands)
@@ -81,16 +80,6 @@ def _asked(args):
         noise=args.noise)
 
 
-def _intervals_asked(args):
-    """Return the intervals to draw from (dict); raise ConfigError if nothing would be drawn."""
-    if not args.intervals:
-        return {}
-    if not args.verify:
-        raise ConfigError(f'--intervals {args.intervals}: concerns the robots that --verify '
-                          'draws; give --verify N as well, or leave it out')
-    return trial.read_intervals(args.intervals)
-
-
 def _per_joint(name, values, n):
     """Return an option's values as (n,), one given value for all joints; None if not given."""
     if values is None:
@@ -101,10 +90,10 @@ def _per_joint(name, values, n):
     return np.broadcast_to(np.array(values, dtype=float), (n,)).copy()
 
 
-def _verified(robot, gains, demands, intervals, args):
+def _verified(robot, gains, demands, args):
     """Return the summary of the draws asked for."""
     amplitude = np.full(robot.n_joints, args.amplitude)
-    items = {f'draw {k}': trial.Drawn(robot, gains, demands.timing, amplitude, intervals,
+    items = {f'draw {k}': trial.Drawn(robot, gains, demands.timing, amplitude,
                                       args.seed, k) for k in range(args.verify)}
     found = run_batch(trial.try_drawn, items, args.workers, 'robots')
     return trial.summary(list(found.values()))

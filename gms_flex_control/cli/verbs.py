@@ -22,7 +22,6 @@ from gms_flex_control.cli.options import (
 )
 from gms_flex_control.params.gains import COMPENSATIONS
 
-SHELLS = ('bash', 'zsh', 'fish')
 DEMO_MOTIONS, DEMO_MODES = ('sinusoid', 'polynomial'), ('none', 'gms_paper', 'gms')
 
 _EFFECTS = Verb(
@@ -91,14 +90,6 @@ _DEMO = Verb(
                help='simulated length of each run (default: sinusoid 20, polynomial to its end)'),
         JSON),
     ('demo', 'demo --motions sinusoid --modes none gms --duration 6 --out short'))
-_COMPLETION = Verb(
-    'completion', 'main.completion',
-    'complete verbs, options and files by TAB in bash, zsh and fish',
-    'Print what a shell reads to complete commands of gms_flex; put the line of the example into '
-    '~/.bashrc or ~/.zshrc. Needs argcomplete, which comes with ros2 and colcon.',
-    (option('shell', choices=SHELLS),),
-    ('eval "$(gms_flex completion bash)"',
-     'completion fish > ~/.config/fish/completions/gms_flex.fish'))
 # options of one way to compare alone, and their values where none was given
 OF_A_PLANT = {'draws': 50, 'rate': 500.0, 'amplitude': 1.0, 'seed': 0}
 OF_A_BAG = {'fit': 0.5}
@@ -312,16 +303,14 @@ _TUNE = Verb(
                'of the torque limit that encoder noise may take as rms torque', least=1e-6),
         number('--amplitude', 'RAD', 1.0, 'of the motions simulated', least=1e-6),
         option('--verify', type=int, default=0, metavar='N', least=0,
-               help='try the gains on N robots drawn from the uncertainty'),
-        option('--intervals', metavar='FILE',
-               help='report.json of gms_flex identify: draw from its intervals; what has none: '
-                    'friction and M 30 %%, K 20 %%'),
+               help='try the gains on N robots drawn with friction and M off by up to 30 %%, K by '
+                    '20 %%'),
         option('--seed', type=int, default=0, metavar='N', help='of the draws'),
         WORKERS, out_folder('controller.yaml, tuning.json, tuning.png'),
         JSON),
     ('tune --out tuned',
      'tune --robot robot.yaml results/friction.yaml --torque-limit 2 --delay 1 --verify 200 '
-     '--intervals results/report.json --out tuned'))
+     '--out tuned'))
 _COMPARE = Verb(
     'compare', 'compare.compare_verb', 'friction compensations side by side',
     'Compare eight ways to compensate friction: none, static Stribeck, LuGre, four kinds of GMS '
@@ -372,4 +361,4 @@ GROUPS = {
         _IMPORT_CSV, _INFO, _VIEW, _IDENTIFY, _DISCREPANCY, _NEXT, _PLAN, _SIMULATE, _TUNE,
         _COMPARE, _EXPORT),
     'beside these': (
-        _EFFECTS, _RECORD, _ANALYSE, _CHECK_GAINS, _URDF, _DEMO, _COMPLETION)}
+        _EFFECTS, _RECORD, _ANALYSE, _CHECK_GAINS, _URDF, _DEMO)}

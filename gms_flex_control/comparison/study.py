@@ -58,7 +58,7 @@ def conditions(draws) -> list:
 def plant_of(robot, condition, seed) -> RobotParams:
     """Return the robot as it is under a condition; every compensation meets the same draws."""
     if condition.draw is not None:
-        return draw(robot, {}, np.random.default_rng([seed, condition.draw]))[0]
+        return draw(robot, np.random.default_rng([seed, condition.draw]))[0]
     arm = replace(robot.arm.scaled(condition.mass),
                   stiffness=robot.arm.stiffness * condition.stiffness)
     found = replace(robot, arm=arm, friction=scaled_friction(robot.friction, condition.friction))

@@ -4,10 +4,9 @@
 """Turn other people's logs into recordings, and say what looks wrong in them."""
 
 from dataclasses import dataclass
-import re
 
 from gms_flex_control.data import csv_map
-from gms_flex_control.data.csv_map import canonical, load_map, POSITION_OF
+from gms_flex_control.data.csv_map import load_map, POSITION_OF
 from gms_flex_control.data.csv_table import CsvTable
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import ImportDataError
@@ -142,14 +141,8 @@ def _units_kept(import_map):
 
 
 def _units_doubted(import_map):
-    """Yield what is mapped in one unit, and named or meant in another."""
+    """Yield a torque beside a position along a slide, and a force beside an angle."""
     for joint in import_map.joints:
-        for name, channel in joint.channels.items():
-            named = unit_in_name(channel.column, channel.quantity) if isinstance(
-                channel.column, str) else None
-            if named and named != channel.unit and channel.unit not in ('pwm', 'A'):
-                yield (f'{joint.name}.{name} (column {channel.column!r}) is mapped as '
-                       f'{channel.unit!r} but its name says {named!r}')
         slides = joint.channels['link_position'].unit in csv_map.LENGTH
         for name in ('torque', 'command'):
             channel = joint.channels.get(name)
@@ -160,26 +153,6 @@ def _units_doubted(import_map):
                    f'{joint.channels["link_position"].unit!r}; ' + (
                        'give the force at the slide: gear_ratio: 2 pi over the lead of the screw '
                        '[rad/m]' if slides else 'give the torque: scale: the lever arm [m]'))
-
-
-def unit_in_name(column, quantity) -> str | None:
-    """
-    Return the unit a column's name such as ``'speed [rpm]'`` ends in, None if it has none.
-
-    Only units of ``quantity``, a key of ``UNITS``, are looked for.
-    """
-    text = column.strip().lower().replace('²', '2')
-    bracket = re.search(r'[\[(]\s*([^\])]*?)\s*[\])]\s*$', text)
-    parts = re.split(r'[_\s.]+', text)
-    candidates = [bracket.group(1)] if bracket else [
-        '_'.join(parts[-count:]) for count in (3, 2, 1) if len(parts) > count]
-    for candidate in candidates:
-        if candidate in ('m', 'n', 'a', 'ma') and not bracket:
-            continue  # q_m is rather the motor's angle than metres
-        for known in csv_map.UNITS[quantity]:
-            if canonical(candidate).lower() == known.lower():
-                return known
-    return None
 
 
 def _in_si(raw, channel, table, keep, place):

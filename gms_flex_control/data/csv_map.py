@@ -31,24 +31,6 @@ TORQUE = {'N m': 1.0, 'mN m': 1e-3, 'kN m': 1e3, 'N cm': 1e-2, 'A': None, 'mA': 
 TIME = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9}
 UNITS = {'position': POSITION, 'velocity': VELOCITY, 'torque': TORQUE, 'time': TIME}
 
-_ALIASES = {
-    'radian': 'rad', 'radians': 'rad', 'degree': 'deg', 'degrees': 'deg', '°': 'deg',
-    'rev': 'turn', 'turns': 'turn', 'count': 'counts', 'ticks': 'counts', 'dps': 'deg/s',
-    'rad_s': 'rad/s', 'rads': 'rad/s', 'rad_per_s': 'rad/s', 'deg_s': 'deg/s',
-    'deg_per_s': 'deg/s', 'mdeg_s': 'mdeg/s', 'mrad_s': 'mrad/s', 'rev/min': 'rpm', 'nm': 'N m',
-    'n.m': 'N m', 'n*m': 'N m', 'n m': 'N m', 'mnm': 'mN m', 'knm': 'kN m', 'ncm': 'N cm',
-    'sec': 's', 'seconds': 's', 'second': 's', 'msec': 'ms', 'usec': 'us', 'µs': 'us',
-    'amp': 'A', 'amps': 'A', 'ampere': 'A', 'a': 'A', 'milliamp': 'mA', 'ma': 'mA',
-    'newton': 'N', 'n': 'N', 'kn': 'kN', 'meter': 'm', 'metre': 'm', 'millimeter': 'mm',
-    'millimetre': 'mm', 'µm': 'um', 'micron': 'um', 'm_s': 'm/s', 'mm_s': 'mm/s',
-    'nmm': 'mN m', 'n mm': 'mN m'}
-
-
-def canonical(unit) -> str:
-    """Return the name of a unit used here ('Nm' -> 'N m'), itself if it has no other."""
-    text = str(unit).strip()
-    return _ALIASES.get(text.lower(), text)
-
 
 def read_map(path) -> 'MapNode':
     """
@@ -130,15 +112,14 @@ class MapNode:
         return next((plain(value) for plain in (str, float) if isinstance(value, plain)), value)
 
     def unit(self, key, known, default=None) -> str:
-        """Return the canonical name of a unit among ``known``."""
+        """Return the name of a unit among ``known``."""
         value = self._data.get(key, default)
         if value is None:
             raise self.wrong(f'lacks {key}; one of {", ".join(known)}')
-        name = canonical(value)
-        if name not in known:
-            raise self.wrong(f'{value!r} is not usable here{did_you_mean(name, known)} '
+        if value not in known:
+            raise self.wrong(f'{value!r} is not usable here{did_you_mean(value, known)} '
                              f'(one of {", ".join(known)})', key)
-        return name
+        return value
 
 
 # channel -> quantity
@@ -148,8 +129,6 @@ CHANNELS = {
     'reference': 'position', 'reference_velocity': 'velocity'}
 POSITION_OF = {'link_velocity': 'link_position', 'motor_velocity': 'motor_position',
                'reference_velocity': 'reference'}
-ESTIMATE_WINDOW = 0.02  # of 'velocity: estimate' without a window [s]
-ENCODINGS = ('utf-8', 'utf-16', 'latin-1')
 DELIMITERS = {'tab': '\t', 'space': ' ', 'comma': ',', 'semicolon': ';'}
 
 # how each key of a channel is read
@@ -172,7 +151,6 @@ class FileFormat(NamedTuple):
     header_rows: int = 1  # the last of them names the columns
     decimal: str = '.'
     comment: str = ''     # lines that begin with it are skipped
-    encoding: str = 'utf-8'
 
 
 class TimeColumn(NamedTuple):
@@ -262,7 +240,7 @@ def load_map(path) -> ImportMap:
 def _file(node):
     if node is None:
         return FileFormat()
-    node.only('delimiter', 'header_rows', 'decimal', 'comment', 'encoding')
+    node.only('delimiter', 'header_rows', 'decimal', 'comment')
     delimiter = node.value('delimiter', 'text', ',')
     delimiter = DELIMITERS.get(delimiter, delimiter)
     if len(delimiter) != 1:
@@ -272,11 +250,8 @@ def _file(node):
     if decimal not in ('.', ',') or decimal == delimiter:
         raise node.wrong(f"must be '.' or ',' and differ from the delimiter {delimiter!r}, "
                          f'got {decimal!r}', 'decimal')
-    encoding = node.value('encoding', 'text', 'utf-8')
-    if encoding not in ENCODINGS:
-        raise node.wrong(f'must be one of {", ".join(ENCODINGS)}, got {encoding!r}', 'encoding')
     return FileFormat(delimiter, node.value('header_rows', 'whole', 1), decimal,
-                      node.value('comment', 'text', ''), encoding)
+                      node.value('comment', 'text', ''))
 
 
 def _time(node):
@@ -313,9 +288,6 @@ def _joint(node, name):
 
 def _channel(joint, key):
     quantity = CHANNELS[key]
-    if quantity == 'velocity' and joint.value(key) == 'estimate':
-        return Channel(name=key, quantity=quantity, line=joint.line(key),
-                       estimate=ESTIMATE_WINDOW)
     node = joint.section(key)
     node.only(*_KEYS[quantity])
     values = {name: node.value(name, _READ[name], Pwm._field_defaults.get(

@@ -110,18 +110,13 @@ class CsvTable:
     def _rows(self):
         """Yield (line, cells) of every line that is neither blank nor a comment."""
         try:
-            encoding = {'utf-8': 'utf-8-sig'}.get(self._form.encoding, self._form.encoding)
-            text = self.path.read_text(encoding=encoding)
+            text = self.path.read_text(encoding='utf-8-sig')
         except OSError as error:
             raise ImportDataError(f'{self.path}: cannot be read ({error.strerror})') from error
         except UnicodeDecodeError as error:
             raise ImportDataError(
-                f'{self.path}: is not {self._form.encoding.upper()} text (byte {error.start} is '
-                f'0x{error.object[error.start]:02x}); export it as UTF-8 CSV, or set '
-                'file.encoding: latin-1 (or utf-16)') from error
-        except UnicodeError as error:
-            raise ImportDataError(f'{self.path}: is not {self._form.encoding.upper()} text '
-                                  f'({error}); correct file.encoding') from error
+                f'{self.path}: is not UTF-8 text (byte {error.start} is '
+                f'0x{error.object[error.start]:02x}); export it as UTF-8 CSV') from error
         if '\0' in text:
             raise ImportDataError(f'{self.path}: holds NUL bytes, so it is no text table; '
                                   'export it as CSV')

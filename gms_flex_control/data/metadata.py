@@ -4,9 +4,6 @@
 """The metadata.yaml of a bag folder, and the message definitions and type hashes of a bag."""
 
 from functools import lru_cache
-import os
-from pathlib import Path
-import sys
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
@@ -15,8 +12,7 @@ from ruamel.yaml.error import YAMLError
 
 try:  # every module on bags imports this one first
     import mcap  # noqa: F401
-    from rosbags.interfaces import Nodetype
-    from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+    from rosbags.typesys import get_typestore, Stores
     from rosbags.typesys.base import TypesysError
 except ImportError as error:  # rosdep has no package of Ubuntu for them
     raise BagError('bags need mcap and rosbags for Python: pip install '
@@ -41,54 +37,15 @@ def definition(type_name) -> Definition:
     """
     Return the Definition of a message type such as ``sensor_msgs/msg/JointState``.
 
-    From the standard types of Jazzy, else from the .msg files of installed packages; BagError if
-    the type or one it is made of is found in neither.
+    BagError if it is none of the standard types of Jazzy.
     """
     store = _typestore()
-    if type_name not in store.types:
-        _register_installed(store, type_name)
     try:
         text, _ = store.generate_msgdef(type_name, ros_version=2)
         return Definition(text, store.hash_rihs01(type_name))
     except (TypesysError, KeyError) as error:
-        raise BagError(f'message type {type_name!r} cannot be described ({error}); '
-                       'leave its topic out') from error
-
-
-def _register_installed(store, type_name):
-    """Add a type and those it is made of to ``store``, from the .msg files installed."""
-    types, waiting = {}, [type_name]
-    while waiting:
-        name = waiting.pop()
-        if name in store.types or name in types:
-            continue
-        try:
-            types |= get_types_from_msg(_installed_text(name), name)
-        except TypesysError as error:
-            raise BagError(f'message type {name!r}: its .msg file cannot be read '
-                           f'({error}); leave its topic out') from error
-        waiting += [part for _, field in types[name][1] for part in _parts(*field)]
-    store.register(types)
-
-
-def _parts(kind, detail):
-    """Return the names of the message types in a field of rosbags."""
-    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        return _parts(*detail[0])
-    return [detail] if kind == Nodetype.NAME else []
-
-
-def _installed_text(type_name):
-    parts = type_name.split('/')
-    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if p]
-    if len(parts) == 3 and parts[1] == 'msg':
-        for prefix in (*prefixes, sys.prefix):
-            path = Path(prefix, 'share', parts[0], 'msg', f'{parts[2]}.msg')
-            if path.is_file():
-                return path.read_text(encoding='utf-8')
-    raise BagError(f'message type {type_name!r} is neither a standard one nor installed as '
-                   f'share/{parts[0]}/msg/{parts[-1]}.msg under AMENT_PREFIX_PATH; source the '
-                   'workspace that defines it, or leave its topic out')
+        raise BagError(f'message type {type_name!r} is no standard one of Jazzy ({error}); leave '
+                       "its topic out, or record it with 'ros2 bag record'") from error
 
 
 LARGEST = 10_000_000  # bytes; a thousand topics take some hundred thousand

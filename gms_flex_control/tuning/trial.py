@@ -4,19 +4,15 @@
 """
 A controller tried in simulation: how it tracks, what it costs, how quietly it rests.
 
-Robots that are not what it believes are drawn: every parameter identified with an interval evenly
-from it, the others scaled evenly within a spread. What is drawn together is named in `GROUPS`.
+Robots that are not what it believes are drawn: parameters are scaled evenly within a spread, those
+of one group in `GROUPS` together.
 """
 
 from dataclasses import replace
-import json
 import math
-from pathlib import Path
-import re
 from typing import NamedTuple
 
 from gms_flex_control.effects.catalogue.actuator import InputDelay
-from gms_flex_control.errors import ConfigError
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.schema.build import robot_from_values, robot_values
 from gms_flex_control.simulation import loop
@@ -37,7 +33,6 @@ GROUPS = {'static': 'friction level', 'coulomb': 'friction level',
           'viscous': 'viscous friction', 'stiffness': 'presliding stiffness',
           'mass': 'link mass', 'inertia': 'link mass', 'mass_factor': 'link mass',
           'inertia_factor': 'link mass', 'motor_inertia': 'motor inertia'}
-_BLOCK = re.compile(r'(.+)\[(\d+)\]')
 
 
 class Trial(NamedTuple):
@@ -101,36 +96,12 @@ class Drawn(NamedTuple):
     gains: object       # ControllerParams
     timing: object      # Timing
     amplitude: object   # (n,) of the motions [rad]
-    intervals: dict     # flat parameter name -> (low, high)
     seed: int
     number: int
 
 
-def read_intervals(path) -> dict:
-    """
-    Return the (low, high) of identified parameters, by name, from the report.json of identify.
-
-    ConfigError if it cannot be read or is another file.
-    """
-    try:
-        report = json.loads(Path(path).read_text('utf-8'))
-        estimates = [one for joint in report['joints'] for one in joint['estimates']]
-        found = {one['name']: one['interval'] for one in estimates
-                 if 'not identifiable' not in one['flags']}
-        return {name: (float(ends[0]), float(ends[1])) for name, ends in found.items()
-                if None not in ends}
-    except OSError as error:
-        raise ConfigError(f'--intervals {path}: cannot be read ({error.strerror})') from error
-    except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise ConfigError(f'--intervals {path}: is no report.json of gms_flex identify') from error
-
-
-def draw(robot, intervals, rng) -> tuple:
-    """
-    Return a robot that differs from the believed one, and factors by name (``joint1 link mass``).
-
-    ``intervals`` of `read_intervals` may be empty.
-    """
+def draw(robot, rng) -> tuple:
+    """Return a robot unlike the believed one, and factors by name (``joint1 link mass``)."""
     values = robot_values(robot)
     factors = {f'{joint} {group}': float(1.0 + spread * rng.uniform(-1.0, 1.0))
                for joint in robot.joints for group, spread in SPREADS.items()}
@@ -138,34 +109,12 @@ def draw(robot, intervals, rng) -> tuple:
         part, last = name.partition('.')[0], name.rpartition('.')[2]
         group = ('joint stiffness' if part == 'arm' and last == 'stiffness'
                  else GROUPS.get(last) if part in ('arm', 'friction') else None)
-        if group is None or name in intervals:
+        if group is None:
             continue
         factor = factors[f"{name.split('.')[1]} {group}"]
         scaled = np.asarray(value) * factor
         values[name] = scaled.tolist()
-    for name, (low, high) in intervals.items():
-        _put(values, name, float(rng.uniform(low, high)))
-    for joint in robot.joints:
-        _make_possible(values, f'friction.{joint}.')
     return robot_from_values(values), factors
-
-
-def _put(values, name, value):
-    block = _BLOCK.fullmatch(name)
-    if block and block[1] in values and int(block[2]) < len(values[block[1]]):
-        values[block[1]] = list(values[block[1]])
-        values[block[1]][int(block[2])] = value
-    elif name in values:
-        values[name] = value
-
-
-def _make_possible(values, prefix):
-    """Let weights sum to 1 and static friction not be below Coulomb's."""
-    weight = np.asarray(values[f'{prefix}weight'])
-    values[f'{prefix}weight'] = (weight / weight.sum()).tolist()
-    for way in ('forward', 'backward'):
-        static, coulomb = (f'{prefix}{way}.{name}' for name in ('static', 'coulomb'))
-        values[static] = max(values[static], values[coulomb])
 
 
 def try_drawn(item) -> dict:
@@ -176,7 +125,7 @@ def try_drawn(item) -> dict:
     Trial as a dict for each of `MOTIONS`.
     """
     rng = np.random.default_rng([item.seed, item.number])
-    robot, factors = draw(item.robot, item.intervals, rng)
+    robot, factors = draw(item.robot, rng)
     linear = judged(robot, item.robot, item.gains, item.timing, with_delay=False)
     trials = {motion: try_gains(robot, item.robot, item.gains, item.timing, motion,
                                 item.amplitude, seed=item.number)[0]._asdict()
