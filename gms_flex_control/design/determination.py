@@ -85,30 +85,11 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
                        limits: Limits, *, period: float, duration: float = 20.0,
                        say: Callable[[str], object] = lambda text: None) -> Determination:
     """
-    Choose the motion with most information about what was not identified.
+    Choose the motion with most information about what ``identify`` left open.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        As identified.
-    recordings : sequence of Recording
-        So far; may be empty.
-    missing : sequence of (kind, joint)
-        From `missing_of`.
-    gains, limits, period, say
-        As of `plan_next`.
-    duration : float
-        Of the motion [s].
-
-    Returns
-    -------
-    Determination
-
-    Raises
-    ------
-    ConfigError
-        If nothing is missing that a motion could tell, or every motion would cross a limit.
-
+    ``missing`` is from `missing_of`, ``recordings`` are those so far, perhaps none; ``duration``
+    is of the motion [s], the rest as of `plan_next`. ConfigError if nothing is missing that a
+    motion could tell, or every motion would cross a limit.
     """
     loop = Loop(clipped(gains, limits), limits, period, (), (robot,))
     before, found, so_far = None, [], 0.0

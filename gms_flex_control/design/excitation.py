@@ -125,30 +125,11 @@ def plan_excitation(robot: RobotParams, bounds: Bounds, *, period: float = 10.0,
                     harmonics: int = 5, repeats: int = 2, radius: float | None = None,
                     seed: int = 0, say: Callable[[str], object] = lambda text: None) -> Excitation:
     """
-    Plan a motion of a robot of kind urdf.
+    Plan a motion of a robot of kind urdf within bounds, with the least condition number.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        As believed; friction counts for its torque, and as its noise.
-    bounds : Bounds
-        To keep.
-    period : float
-        Of the first harmonic [s].
-    harmonics, repeats : int
-        Of the series.
-    radius : float, optional
-        Of the capsules [m]; default 5 % of the arm's length; 0 checks no collisions.
-    seed : int
-        Of the starts of the search.
-    say : callable
-        Called with what is being done.
-
-    Raises
-    ------
-    ConfigError
-        If no motion within the bounds was found.
-
+    Its friction counts for the torque, and as its noise. ``period`` [s] is of the first harmonic,
+    ``radius`` [m] of the links as capsules: by default 5 % of the arm's length, 0 checks no
+    collisions; ``seed`` is of the starts of the search. ConfigError if no motion keeps the bounds.
     """
     problem = _Problem(robot, bounds, period, harmonics, radius)
     best, rng = None, np.random.default_rng(seed)
@@ -291,15 +272,9 @@ class _Problem:
 
 class Capsules:
     """
-    The links of an arm as capsules of one radius.
+    The links of an arm of kind urdf as capsules of one radius.
 
-    Parameters
-    ----------
-    arm : ArmParams
-        Of kind urdf.
-    radius : float, optional
-        [m]; default 5 % of the arm's length, 0 for no capsules.
-
+    It is 5 % of the arm's length by default, 0 for no capsules [m].
     """
 
     def __init__(self, arm: ArmParams, radius: float | None = None):

@@ -51,19 +51,9 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: i
     """
     Return motions of many kinds: swings, tones, strokes, moves, of all joints and of single ones.
 
-    Parameters
-    ----------
-    limits : Limits
-        Of the robot; references use 80 % of range and velocity.
-    joints : sequence of str
-        Link names.
-    pace : float
-        Times as slow as the limits allow; torque may demand it.
-    seed : int
-        Of postures and phases.
-    stuck : ndarray, shape (n,), optional
-        Amplitudes at which friction holds every link, from `below_break_away` [rad].
-
+    They use 80 % of range and velocity, ``pace`` times as slow as the limits allow, since torque
+    may demand it. ``seed`` is of postures and phases; ``stuck`` (n,) are amplitudes at which
+    friction holds every link, from `below_break_away` [rad].
     """
     reach = _reach(limits, joints)
     several = 'all joints' if len(joints) > 1 else joints[0]

@@ -72,20 +72,10 @@ class NextRecording:
 
 def surviving(report: Mapping) -> list[frozenset]:
     """
-    Return the sets of effects that a result of ``discrepancy`` leaves.
+    Return the sets of (effect, joint) that the report.json of ``discrepancy`` leaves.
 
-    Parameters
-    ----------
-    report : dict
-        Its report.json.
-
-    Returns
-    -------
-    list of frozenset of (effect, joint)
-        The credible set of models, and the likeliest with each effect in turn replaced by those
-        that are indistinguishable from it; not the likeliest without what matters in no
-        prediction.
-
+    The credible set of models, and the likeliest with each effect in turn replaced by those that
+    are indistinguishable from it; not the likeliest without what matters in no prediction.
     """
     sets = [frozenset((one['effect'], one['joint']) for one in model['effects'])
             for model in report['credible']]
@@ -104,39 +94,16 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
               odds: float = 99.0, longest: float = 60.0, weight: float = 0.0,
               say: Callable[[str], object] = lambda text: None) -> NextRecording:
     """
-    Choose the motion, and its length, that leaves the true hypothesis soonest.
+    Choose the motion, and its length, that leaves the true hypothesis of two or more soonest.
 
     The shortest that does so with a probability of `_ENOUGH`; where none does, that with most
     probability in a second, what is around a motion included.
 
-    Parameters
-    ----------
-    beliefs : Beliefs
-        Two hypotheses at least.
-    gains : ControllerParams
-        Of the controller that will run.
-    limits : Limits
-        To keep under every hypothesis, two standard deviations from its fit.
-    period : float
-        Sample time [s].
-    odds : float
-        Wanted between every pair afterwards.
-    longest : float
-        Length of the motion at most [s].
-    weight : float
-        That a person can hang at the tip, unless one hangs there already [kg]; 0 for none.
-    say : callable
-        Called with what is being done.
-
-    Returns
-    -------
-    NextRecording
-
-    Raises
-    ------
-    ConfigError
-        If every motion would cross a limit.
-
+    ``limits`` are kept under every hypothesis, two standard deviations from its fit; ``gains`` and
+    ``period`` [s] are of the controller that will run. ``odds`` are wanted between every pair
+    afterwards, of a motion no longer than ``longest`` [s]; ``weight`` [kg] is what a person can
+    hang at the tip, unless one hangs there already. ConfigError if every motion would cross a
+    limit.
     """
     wanted, found, refused = float(np.log(odds)), [], []
     first = min(SHORTEST, longest)
@@ -250,21 +217,8 @@ def separate(recordings: Sequence[Recording], robot: RobotParams, sets: Sequence
     """
     Plan, drive and update until one hypothesis is left, or nothing more can be done.
 
-    Parameters
-    ----------
-    recordings, robot, sets
-        As of `beliefs_of`.
-    gains, limits, period, odds, longest, weight, say
-        As of `plan_next`.
-    drive : callable
-        Plan and its number, from 1, to the Recording of what the robot did.
-    budget : float
-        Robot time in all [s].
-
-    Returns
-    -------
-    Separation
-
+    Arguments are those of `beliefs_of` and `plan_next`; ``drive`` takes a plan and its number,
+    from 1, and returns the Recording of what the robot did; ``budget`` is robot time in all [s].
     """
     recordings, rounds, wanted = list(recordings), [], float(np.log(odds))
     while True:

@@ -141,26 +141,10 @@ def resolving(beliefs: Beliefs, odds: np.ndarray, wanted: float) -> np.ndarray:
 def beliefs_of(recordings: Sequence[Recording], robot: RobotParams,
                sets: Sequence[Collection]) -> Beliefs:
     """
-    Fit each hypothesis to the recordings.
+    Fit each hypothesis, a collection of (effect, joint), to the recordings so far.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        So far.
-    robot : RobotParams
-        As believed before them.
-    sets : sequence of collection of (effect, joint)
-        The hypotheses.
-
-    Returns
-    -------
-    Beliefs
-
-    Raises
-    ------
-    ConfigError
-        If the recordings do not allow one of the effects.
-
+    ``robot`` is what was believed before them. ConfigError if the recordings do not allow one of
+    the effects.
     """
     likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot, cautious=True)
     model, _ = retuned(likelihood, robot, np.zeros(len(likelihood.nuisances)))
@@ -299,26 +283,10 @@ def recorded_motion(recording: Recording) -> Recorded:
 def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loop, seed: int = 0
               ) -> Prediction | None:
     """
-    Return how far a motion is expected to separate every pair of hypotheses.
+    Return how far a motion of ``duration`` [s] is expected to separate every pair of hypotheses.
 
-    Parameters
-    ----------
-    beliefs : Beliefs
-        From `beliefs_of`.
-    candidate : Candidate
-        The motion.
-    duration : float
-        Of it [s].
-    loop : Loop
-        From `loop_of`.
-    seed : int
-        Of null simulations.
-
-    Returns
-    -------
-    Prediction or None
-        None if a limit would be crossed, or nothing can be foreseen.
-
+    ``loop`` is from `loop_of`, ``seed`` of null simulations. None if a limit would be crossed, or
+    nothing can be foreseen.
     """
     so_far, count = beliefs.likelihood, len(beliefs.hypotheses)
     if not (stops_within(candidate, beliefs.robot.joints, duration, loop.limits)
