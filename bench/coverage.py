@@ -31,9 +31,13 @@ from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import EncoderParams, RobotParams
+from gms_flex_control.params.robot import (
+    EncoderParams,
+    FrictionParams,
+    RobotParams,
+    StribeckParams,
+)
 from gms_flex_control.schema.files import load_robot, save_values
 from gms_flex_control.simulation.loop import Loop
 from gms_flex_control.trajectory import builders

@@ -29,9 +29,13 @@ from gms_flex_control.experiment.simulated import Plan, simulate
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import EncoderParams, RobotParams
+from gms_flex_control.params.robot import (
+    EncoderParams,
+    FrictionParams,
+    RobotParams,
+    StribeckParams,
+)
 from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.trajectory import builders

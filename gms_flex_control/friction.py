@@ -13,7 +13,7 @@ from functools import cache, lru_cache
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
-from gms_flex_control.params.friction import STRIBECK
+from gms_flex_control.params.robot import STRIBECK
 from gms_flex_control.records import FLAG, FLOAT
 import numpy as np
 

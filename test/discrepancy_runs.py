@@ -12,7 +12,7 @@ from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
 from gms_flex_control.discrepancy.samples import make_samples
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.robot import FrictionParams, StribeckParams
 import numpy as np
 
 NONE = StribeckParams(static=[1e-14], coulomb=[1e-14], velocity=[1.0], viscous=[0.0])

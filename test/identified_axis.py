@@ -11,9 +11,13 @@ from core_runs import padded
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import EncoderParams, RobotParams
+from gms_flex_control.params.robot import (
+    EncoderParams,
+    FrictionParams,
+    RobotParams,
+    StribeckParams,
+)
 import numpy as np
 
 JOINT = 'joint1'

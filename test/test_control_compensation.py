@@ -9,9 +9,8 @@ from core_runs import model_with_error, single_axis
 from gms_flex_control import friction as gms
 from gms_flex_control.control import compensation
 from gms_flex_control.friction import steady_friction, stribeck_level
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
-from gms_flex_control.params.robot import EffectSpec, EncoderParams
+from gms_flex_control.params.robot import EffectSpec, EncoderParams, FrictionParams, StribeckParams
 from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
 import numpy as np

@@ -176,7 +176,7 @@ def test_disordered_time_is_refused_or_dropped_as_asked(load):
     (change_line(1, 't,theta'), r"has no column 'q', which j1.link_position \(.*map.yaml:5\) "
                                 r'requires; known: t, theta'),
     (change_line(1, 'q,q'), r"has no column 't'"),
-    (lambda text: text.replace(',', ';'), r"one column only.*set file.delimiter: ';'"),
+    (lambda text: text.replace(',', ';'), "has no column 't'.*known: t;q"),
     (lambda text: 't,q\n', 'has no data below 1 header rows'),
     (lambda text: 't,q\n0,1\n', '1 usable sample'),
     (lambda text: '', 'has no data'),

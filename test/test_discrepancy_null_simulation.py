@@ -13,8 +13,7 @@ from gms_flex_control.discrepancy.motion import make_motion, motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.samples import make_samples
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, FrictionParams, StribeckParams
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest

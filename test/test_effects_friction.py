@@ -12,8 +12,7 @@ from gms_flex_control.effects import table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.effects.catalogue.reading import torque_at_angles
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, FrictionParams, StribeckParams
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest

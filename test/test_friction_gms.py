@@ -8,7 +8,7 @@ from dataclasses import replace
 from core_runs import drive_friction, push_plant, single_axis, step_friction
 from gms_flex_control import friction as gms
 from gms_flex_control.friction import steady_friction, stribeck_level
-from gms_flex_control.params.friction import FrictionParams
+from gms_flex_control.params.robot import FrictionParams
 import numpy as np
 import pytest
 

@@ -12,8 +12,7 @@ from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import GmsFlexError, ParameterError
 from gms_flex_control.identification.output import report_json
 from gms_flex_control.params.arm import ArmParams, in_units
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import EncoderParams
+from gms_flex_control.params.robot import EncoderParams, FrictionParams, StribeckParams
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.reports.identification_page import write_identification_report

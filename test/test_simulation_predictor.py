@@ -11,8 +11,13 @@ from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.coordinates import Coordinates, friction_record, MOST_BLOCKS
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.friction import FrictionParams, STRIBECK, StribeckParams
-from gms_flex_control.params.robot import EncoderParams, RobotParams
+from gms_flex_control.params.robot import (
+    EncoderParams,
+    FrictionParams,
+    RobotParams,
+    STRIBECK,
+    StribeckParams,
+)
 from gms_flex_control.simulation import plant, predictor
 import numpy as np
 import pytest

@@ -14,9 +14,8 @@ from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.hardware.limits import limited, violation
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import EffectSpec, EncoderParams
+from gms_flex_control.params.robot import EffectSpec, EncoderParams, FrictionParams, StribeckParams
 from gms_flex_control.schema import files
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.node_values import limits_from_values

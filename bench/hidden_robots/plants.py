@@ -7,9 +7,13 @@ from dataclasses import replace
 
 from gms_flex_control.errors import ParameterError, SimulationError
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import EncoderParams, RobotParams
+from gms_flex_control.params.robot import (
+    EncoderParams,
+    FrictionParams,
+    RobotParams,
+    StribeckParams,
+)
 import numpy as np
 
 NOMINAL_SUPPLY = 24.0  # [V]

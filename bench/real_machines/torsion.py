@@ -17,8 +17,13 @@ from gms_flex_control.effects.catalogue.spring import SpringOffset
 from gms_flex_control.errors import BagError, ParameterError
 from gms_flex_control.friction import steady_friction
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import EffectSpec, EncoderParams, RobotParams
+from gms_flex_control.params.robot import (
+    EffectSpec,
+    EncoderParams,
+    FrictionParams,
+    RobotParams,
+    StribeckParams,
+)
 import numpy as np
 from scipy.signal import savgol_filter
 

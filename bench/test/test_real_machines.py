@@ -15,7 +15,7 @@ from bench.real_machines.split import identified, model_rms, parts_of
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.identification.assumed_robot import rigid_joints
-from gms_flex_control.params.friction import StribeckParams
+from gms_flex_control.params.robot import StribeckParams
 import numpy as np
 import pytest
 

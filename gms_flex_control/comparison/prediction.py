@@ -21,8 +21,7 @@ from gms_flex_control.data.signal_analysis import low_pass
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification import segments
 from gms_flex_control.identification.friction_map import friction_torque
-from gms_flex_control.params.friction import FrictionParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import FrictionParams, RobotParams
 from gms_flex_control.simulation import encoder
 import numpy as np
 from scipy.optimize import least_squares

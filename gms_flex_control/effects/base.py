@@ -19,8 +19,7 @@ from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled_effect
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.friction import StribeckParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import RobotParams, StribeckParams
 import numpy as np
 
 LEAST_RELATIVE = -0.8   # least relative error searched for: ratios near -1 are implausible

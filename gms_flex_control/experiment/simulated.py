@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import ConfigError, ParameterError, SimulationError
-from gms_flex_control.params.friction import FrictionParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import FrictionParams, RobotParams
 from gms_flex_control.schema.build import complete, controller_from_values, robot_from_values
 from gms_flex_control.schema.files import load_robot, located, read_values
 from gms_flex_control.schema.keys import known_keys, plant_node_keys, trajectory_keys

@@ -13,8 +13,7 @@ from gms_flex_control.effects.catalogue.friction_level import ViscousError
 from gms_flex_control.effects.table import with_changes, with_friction
 from gms_flex_control.errors import ConfigError, did_you_mean
 from gms_flex_control.params.arm import in_units
-from gms_flex_control.params.friction import STRIBECK, StribeckParams
-from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
+from gms_flex_control.params.robot import RobotParams, STRIBECK, StribeckParams, WHOLE_ARM
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.urdf import robot_urdf

@@ -24,9 +24,13 @@ from gms_flex_control.effects.base import Change, Stage
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.key import of_joints
-from gms_flex_control.params.robot import EncoderParams, RobotParams
+from gms_flex_control.params.robot import (
+    EncoderParams,
+    FrictionParams,
+    RobotParams,
+    StribeckParams,
+)
 from gms_flex_control.simulation import plant
 import numpy as np
 

@@ -54,8 +54,7 @@ from gms_flex_control.identification.uncertainty import (
     shown_displacements,
     spread_of,
 )
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import FrictionParams, RobotParams, StribeckParams
 import numpy as np
 
 _SAME_PERIOD = 0.01   # relative difference of sample periods of recordings fitted together

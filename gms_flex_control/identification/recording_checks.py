@@ -31,13 +31,282 @@ coupling            coupled motors on an arm that is not one of a URDF
 """
 
 from dataclasses import replace
+from itertools import combinations
 
 from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.signal_analysis import friction_columns, is_moving, quantum, sign_fit
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification import sampling_checks, torque_checks
-from gms_flex_control.identification.check_basis import absent_joints, Finding
+from gms_flex_control.identification import check_basis as limits
+from gms_flex_control.identification import sampling_checks
+from gms_flex_control.identification.check_basis import (
+    absent_joints,
+    balance_fit,
+    filtered,
+    Finding,
+    spring_fit,
+    spring_joints,
+    torque_joints,
+    total_torque,
+)
 from gms_flex_control.params.arm import carrying
 from gms_flex_control.params.robot import RobotParams
+import numpy as np
+
+
+def saturated(signals: Recording) -> list[Finding]:
+    """Return findings of torques that stay at their extreme while the joint moves."""
+    found = []
+    for j, joint in enumerate(signals.joints):
+        tau, q = signals.tau_motor[:, j], signals.q_link[:, j]
+        if min(np.isfinite(tau).sum(), np.isfinite(q).sum()) < limits.FEWEST_ROWS:
+            continue
+        clipped = _at_an_extreme(tau)
+        if not clipped.any():
+            continue
+        width = max(1, round(0.05 / signals.period))
+        travel = np.abs(q[2 * width:] - q[:-2 * width])
+        moving = np.pad(travel > max(0.02 * np.nanmax(travel, initial=0.0), 2 * quantum(q)),
+                        width)
+        share = np.sum(clipped & moving) / max(np.sum(moving), 1)
+        if share >= limits.CLIPPED_WARN:
+            limit = np.abs(tau[clipped]).max()
+            found.append(Finding(
+                'saturated', joint, 'refuse' if share > limits.CLIPPED_REFUSE else 'warn',
+                f'{signals.source}: the torque of {joint} is clipped at {limit:.4g} N m in '
+                f'{100 * share:.2g} % of the moving samples, so it may have been larger '
+                'than recorded there; move more gently or raise the limit'))
+    return found
+
+
+def _at_an_extreme(tau):
+    """Return where a torque (T,) stays at its largest or smallest value as if cut off there."""
+    known = np.isfinite(tau)
+    largest, span = np.abs(tau[known]).max(), np.ptp(tau[known])
+    clipped = np.zeros(len(tau), dtype=bool)
+    still = np.concatenate([[False], np.diff(tau) == 0])
+    if span == 0:
+        return clipped
+    for sign in (1.0, -1.0):
+        value = sign * tau
+        top = value[known].max()
+        if top < 0.3 * largest:
+            continue
+        at = value >= top - 1e-6 * span
+        below = (value >= top - max(1.5 * quantum(tau), 0.01 * span)) & ~at
+        repeats = np.sum(still & at)
+        rare = np.sum(still & ~at & (tau != 0)) < 0.2 * repeats
+        if repeats >= 5 and (rare or at.sum() > 4 * below.sum()):
+            clipped |= at
+    # a torque in steps stands still at every level, not only at the outer ones
+    return clipped & (np.sum(still & ~clipped & (tau != 0)) < 0.3 * np.sum(clipped))
+
+
+def physics(signals: Recording, robot: RobotParams, rough=False) -> list[Finding]:
+    """
+    Compare torque, sides and joints with the equations of motion.
+
+    Without a torque only the angles are compared. ``rough``: inertia and stiffness are mere
+    placeholders; a factor is a warning only. One fault at a time, since each hides the next.
+    """
+    motion = filtered(signals, robot)
+    if len(motion.tau) < limits.FEWEST_ROWS:
+        return []
+    return (_side_scales(signals, robot, motion) or _exchanged_torques(signals, robot, motion)
+            or _directions(signals, robot, motion) or _scales(signals, robot, motion, rough)
+            or _unexplained(signals, robot, motion))
+
+
+def _directions(signals, robot, motion):
+    """Find reversed torques and exchanged sides."""
+    total, springs = total_torque(motion, robot), spring_joints(robot, motion)
+    found = []
+    for j in torque_joints(robot, motion):
+        balance = _balance_sign(motion, motion.tau[:, j], total, j)
+        spring = _spring_sign(motion, j) if j in springs else 0
+        name = signals.joints[j]
+        if spring < 0 and balance >= 0:
+            doubt = '' if balance > 0 else ', unless the sign of its torque is reversed'
+            found.append(Finding(
+                'swapped_sides', name, 'refuse', f'{signals.source}: motor and link of {name} '
+                'seem exchanged: its torque fits the spring between them only the other way '
+                f'round{doubt}; exchange the two names'))
+        elif balance < 0:
+            also = ', and its motor and link are exchanged' if spring > 0 else ''
+            gravity = ', or the gravity of the robot file' if robot.arm.gravity.any() else ''
+            found.append(Finding(
+                'torque_sign', name, 'refuse', f'{signals.source}: the torque of {name} has the '
+                'wrong sign: only reversed does it accelerate the joint and overcome '
+                f'friction{also}; reverse it, or the angles{gravity}'))
+    return found
+
+
+def _balance_sign(motion, tau, total, j):
+    """Return 1 or -1 if a torque drives joint j forward or backward, 0 if that is open."""
+    fits = balance_fit(motion, tau, total, j)
+    if fits is None:
+        return 0
+    known, loose = fits
+    if known.as_is > limits.CLEAR and known.as_is > known.opposite + limits.APART:
+        return 1
+    clear = known.opposite > limits.CLEAR and known.opposite > known.as_is + limits.APART
+    # a joint that is not driven by its torque takes no work from it in the end
+    driven = _work(tau, motion.dq_link[:, j]) > limits.CLEAR
+    return -1 if clear and not driven and loose.as_is < max(loose.opposite, 0.5) else 0
+
+
+def _work(tau, velocity):
+    """Return the work of a torque (S,) over that of its size, -1 to 1: friction takes work."""
+    power = tau * velocity
+    return float(np.sum(power) / max(np.sum(np.abs(power)), 1e-300))
+
+
+def _spring_sign(motion, j):
+    """Return 1 or -1 if the torque of joint j fits its spring as it is or with sides exchanged."""
+    tau, torsion = motion.tau[:, j], motion.q_motor[:, j] - motion.q_link[:, j]
+    explained, gain = spring_fit(tau, motion.ddq_motor[:, j], torsion)
+    explained_other, gain_other = spring_fit(tau, motion.ddq_link[:, j], -torsion)
+    if explained > limits.CLEAR and gain > limits.CLEAR and gain_other < 0.1:
+        return 1
+    if explained_other > limits.CLEAR and gain_other > limits.CLEAR and gain < 0.1:
+        return -1
+    return 0
+
+
+def _scales(signals, robot, motion, rough):
+    """Find torques off by a factor."""
+    total, springs = total_torque(motion, robot), spring_joints(robot, motion)
+    found = []
+    for j in torque_joints(robot, motion):
+        if j in springs:
+            found += _spring_scale(signals, robot, motion, j)
+        else:
+            found += _inertia_scale(signals, motion, total, j)
+    return [finding._replace(severity='warn') for finding in found] if rough else found
+
+
+def _spring_scale(signals, robot, motion, j):
+    """Compare torque over deflection with the stiffness; an encoder delay must not decide it."""
+    tau, one = motion.tau[:, j], np.ones(len(motion.tau))
+    stiffness = robot.arm.stiffness[j]
+    torsion = motion.q_motor[:, j] - motion.q_link[:, j]
+    ratios, limit = [], limits.SCALE_STIFFNESS
+    rest = np.stack([torsion, motion.dq_link[:, j]])
+    exact = spring_fit(tau, motion.ddq_motor[:, j], torsion)[0] > limits.EXACT
+    if not exact and rest[1].any() and np.corrcoef(rest)[0, 1] ** 2 > 0.1:
+        limit *= 3.0  # read late, one encoder adds a part of the velocity to the torsion
+    for others in [[motion.ddq_motor[:, j]]] if exact else (
+            [], [motion.ddq_motor[:, j]], [motion.dq_motor[:, j]],
+            [motion.ddq_motor[:, j], motion.dq_motor[:, j]]):
+        fit = sign_fit(tau, [torsion], [one, *others])
+        if fit.as_is > limits.CLEAR:
+            ratios.append(fit.weights[0] / stiffness)
+    if not ratios or min(ratios) < limit and max(ratios) > 1 / limit:
+        return
+    if _fits_where_small(tau, motion.ddq_motor[:, j], torsion, stiffness):
+        return  # drives that give but a part of what is asked of them
+    middle = float(np.median(ratios))
+    yield Finding('torque_scale', signals.joints[j], 'refuse', f'{signals.source}: the torque '
+                  f'of {signals.joints[j]} is {middle:.3g} times what its torsion and a stiffness '
+                  f'of {stiffness:.4g} N m/rad make; give the torque in N m at the joint (unit, '
+                  'gear ratio, torque constant), or correct the stiffness')
+
+
+def _fits_where_small(tau, ddq_motor, torsion, stiffness):
+    """Return whether torque (T,) is what the spring makes where it is no more than that ever."""
+    small = np.abs(tau) <= stiffness * np.abs(torsion - np.median(torsion)).max()
+    if small.sum() < limits.FEWEST_ROWS:
+        return False
+    free = [np.ones(int(small.sum())), ddq_motor[small]]
+    fit = sign_fit(tau[small], [torsion[small]], free)
+    ratio = fit.weights[0] / stiffness
+    return fit.as_is > limits.EXACT and 1 / limits.SCALE_STIFFNESS < ratio < limits.SCALE_STIFFNESS
+
+
+def _inertia_scale(signals, motion, total, j):
+    """Compare torque with what the robot's inertia and gravity need."""
+    fits = balance_fit(motion, motion.tau[:, j], total, j)
+    if fits is None:
+        return
+    rows = is_moving(motion.dq_link[:, j])
+    friction = sign_fit(motion.tau[rows, j], friction_columns(motion.dq_link[rows, j]),
+                        [np.ones(int(rows.sum()))]).as_is
+    whole = fits[0]
+    if whole.as_is < 0.6 or (whole.as_is - friction) < limits.CLEAR * (1 - friction):
+        return
+    ratio = float(whole.weights[0])
+    factor = max(ratio, 1 / ratio)
+    refused = limits.SCALE_SLIGHT if friction > limits.NEARLY_ALL else limits.SCALE_INERTIA[1]
+    if factor > limits.SCALE_INERTIA[0]:
+        yield Finding('torque_scale', signals.joints[j],
+                      'refuse' if factor > refused else 'warn',
+                      f'{signals.source}: the torque of {signals.joints[j]} is {ratio:.3g} '
+                      "times what the robot's inertia and gravity need; give the torque in N m "
+                      'at the joint (unit, gear ratio, torque constant), or correct the inertia')
+
+
+def _unexplained(signals, robot, motion):
+    """Find torques that have nothing to do with the motion."""
+    total, springs, found = total_torque(motion, robot), spring_joints(robot, motion), []
+    for j in torque_joints(robot, motion):
+        fits = balance_fit(motion, motion.tau[:, j], total, j)
+        shares = [fit.as_is for fit in fits or ()]
+        if j in springs:
+            torsion = motion.q_motor[:, j] - motion.q_link[:, j]
+            shares.append(spring_fit(motion.tau[:, j], motion.ddq_motor[:, j], torsion)[0])
+        if shares and max(shares) < limits.UNEXPLAINED:
+            found.append(Finding(
+                'unexplained', signals.joints[j], 'warn', f'{signals.source}: inertia, gravity, '
+                f'spring and friction explain {100 * max(shares):.0f} % of the torque of '
+                f'{signals.joints[j]}; is it the torque of this joint, at the time of its '
+                'angles, and is the robot file right?'))
+    return found
+
+
+def _side_scales(signals, robot, motion):
+    """Find a motor angle with another sign or scale than the link's, far beyond any deflection."""
+    found = []
+    for j in spring_joints(robot, motion):
+        x, y = (side[:, j] - side[:, j].mean() for side in (motion.q_link, motion.q_motor))
+        if not (x.any() and y.any()):
+            continue
+        slope, fit = x @ y / (x @ x), x @ y / np.sqrt((x @ x) * (y @ y))
+        torsion = robot.arm.stiffness[j] * np.std(y - x)
+        tau = motion.tau[:, j]
+        torn = torsion > limits.SIDE_FACTOR * np.std(tau) if np.isfinite(tau).all() else abs(
+            np.log(abs(slope) + 1e-12)) > np.log(5.0)
+        low, high = limits.SIDE_SLOPE
+        if abs(fit) > limits.SIDE_FIT and not low < slope < high and (torn or slope < 0.0):
+            found.append(Finding(
+                'side_scale', signals.joints[j], 'refuse', f'{signals.source}: the motor of '
+                f'{signals.joints[j]} moves {slope:.4g} times as far as its link; give motor '
+                'angles as seen at the joint (divide by the gear ratio, correct the sign)'))
+    return found
+
+
+def _exchanged_torques(signals, robot, motion):
+    """Find two joints each of whose torque fits the other's motion far better."""
+    total, found = total_torque(motion, robot), []
+    springs = spring_joints(robot, motion)
+
+    def explained(torque, j):
+        tau = motion.tau[:, torque]
+        if j in springs:
+            return spring_fit(tau, motion.ddq_motor[:, j],
+                              motion.q_motor[:, j] - motion.q_link[:, j])[0]
+        fits = balance_fit(motion, tau, total, j)
+        return fits[0].as_is if fits else 0.0
+
+    for i, j in combinations(torque_joints(robot, motion), 2):
+        crossed = [1 - explained(i, j), 1 - explained(j, i)]
+        straight = [1 - explained(i, i), 1 - explained(j, j)]
+        if max(crossed) < 0.3 and sum(crossed) < 0.25 * sum(straight) and all(
+                a < b for a, b in zip(crossed, straight, strict=True)):
+            first, second = signals.joints[i], signals.joints[j]
+            found.append(Finding(
+                'swapped_torques', first, 'refuse', f'{signals.source}: the torques of {first} '
+                f'and {second} seem exchanged: each fits the motion of the other; exchange the '
+                'names in the recording or the robot file'))
+    return found
 
 
 def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Finding, ...]:
@@ -74,10 +343,10 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
         return tuple(found)
     found += sampling_checks.motion(signals)
     found += sampling_checks.rates(signals)
-    found += torque_checks.saturated(signals)
+    found += saturated(signals)
     if not any(finding.kind == 'velocity' for finding in found):
         loose = [joint for joint, sd in zip(signals.joints, signals.scale_sd, strict=True) if sd]
-        found += [one for one in torque_checks.physics(signals, robot, rough or bool(loose))
+        found += [one for one in physics(signals, robot, rough or bool(loose))
                   if one.kind != 'torque_scale' or one.joint not in loose]
     return tuple(found)
 

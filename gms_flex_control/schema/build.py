@@ -9,15 +9,17 @@ from gms_flex_control.effects import registry
 from gms_flex_control.effects.catalogue.link import GravityTilt
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.arm import ArmParams, Frames
-from gms_flex_control.params.friction import (
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.key import checked, keys_of, REQUIRED
+from gms_flex_control.params.robot import (
+    EffectSpec,
+    EncoderParams,
     FrictionParams,
+    RobotParams,
     STRIBECK,
     StribeckParams,
     WEIGHT_TOLERANCE,
 )
-from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.key import checked, keys_of, REQUIRED
-from gms_flex_control.params.robot import EffectSpec, EncoderParams, RobotParams
 from gms_flex_control.schema.keys import controller_keys, known_keys, robot_keys, STANDARD_GRAVITY
 from gms_flex_control.schema.urdf_arm import read_links
 import numpy as np

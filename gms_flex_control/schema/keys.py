@@ -9,10 +9,16 @@ from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.hardware.limits import UNLIMITED
 from gms_flex_control.params.arm import ArmParams, AXES, KINDS
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
 from gms_flex_control.params.key import below, Key, keys_of, SMALLEST
-from gms_flex_control.params.robot import EncoderParams, LARGEST_SD, LEAST_SD, WHOLE_ARM
+from gms_flex_control.params.robot import (
+    EncoderParams,
+    FrictionParams,
+    LARGEST_SD,
+    LEAST_SD,
+    StribeckParams,
+    WHOLE_ARM,
+)
 from gms_flex_control.params.robot import KINDS as UNCERTAIN
 
 EXPERIMENTS = ('constant_velocity', 'break_away', 'presliding', 'sliding')

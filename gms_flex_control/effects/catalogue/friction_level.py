@@ -15,8 +15,7 @@ from gms_flex_control.effects.base import (
     Term,
 )
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION, TIME
-from gms_flex_control.params.friction import StribeckParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import RobotParams, StribeckParams
 import numpy as np
 
 
