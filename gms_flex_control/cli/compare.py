@@ -20,8 +20,6 @@ from gms_flex_control.results import prediction_values
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 
-# what a figure depends on
-
 
 def compare_verb(args) -> int:
     """Compare, write and print; return 0."""

@@ -25,8 +25,6 @@ from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands
 import numpy as np
 
-# what a simulated figure depends on
-
 
 def tune(args) -> int:
     """Propose, try, write, verify; return 1 where something asked is not met, else 0."""
