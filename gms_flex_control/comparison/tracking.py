@@ -48,8 +48,6 @@ class JointTracking(NamedTuple):
     floor: float        # rms error that the encoder's steps alone make of a reading [rad]
     max_error: float    # largest absolute error [rad]
     hold_peak_to_peak: float  # largest of all holds [rad]
-    hold_start: float   # stamp at which the judged part of that hold begins [s]
-    hold_duration: float  # its length [s]
     rms_torque: float   # of the torque applied, or commanded if that is not known [N m]
     samples: int        # samples with both a measurement and a reference
 
@@ -299,23 +297,19 @@ def hold_windows(time, q_ref) -> list[slice]:
 def _track_joint(recording, error, i):
     valid = error[np.isfinite(error)]
     mse = float(np.mean(valid ** 2)) if valid.size else np.nan
-    peak, start, duration = _worst_hold(recording, i)
     return JointTracking(
         recording.joints[i], mse, float(np.sqrt(mse)),
         quantum(recording.q_link[:, i]) / np.sqrt(12.0),  # rounding is uniform within a step
         float(np.max(np.abs(valid))) if valid.size else np.nan,
-        peak, start, duration, _rms_torque(recording, i), int(valid.size))
+        _worst_hold(recording, i), _rms_torque(recording, i), int(valid.size))
 
 
 def _worst_hold(recording, i):
-    """Return peak to peak [rad], start and duration [s] of the hold with most motion."""
-    worst = (np.nan, np.nan, np.nan)
-    for window in hold_windows(recording.time, recording.reference[:, 0, i]):
-        angle, stamp = recording.q_link[window, i], recording.time[window]
-        peak = float(np.ptp(angle[np.isfinite(angle)])) if np.isfinite(angle).any() else np.nan
-        if not peak <= worst[0]:
-            worst = (peak, float(stamp[0]), float(stamp[-1] - stamp[0]))
-    return worst
+    """Return the largest peak to peak of all holds [rad], NaN without any."""
+    peaks = [np.ptp(angle[np.isfinite(angle)])
+             for angle in (recording.q_link[window, i] for window in hold_windows(
+                 recording.time, recording.reference[:, 0, i])) if np.isfinite(angle).any()]
+    return float(max(peaks, default=np.nan))
 
 
 def _rms_torque(recording, i):

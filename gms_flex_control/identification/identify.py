@@ -34,7 +34,6 @@ from gms_flex_control.identification.prediction_error import (
     held_out_errors,
     loops_of,
     presliding_reach,
-    ripple_sentences,
     traces_of,
 )
 from gms_flex_control.identification.recording_checks import require
@@ -248,11 +247,9 @@ class Data:
             held_out=self._errors(joint, fits), warnings=self._sentences(joint, fit, objective))
 
     def _sentences(self, joint, fit, objective):
-        name, theta = self.robot.joints[joint], fit.theta
-        coupled = coupling_sentences(objective, self.bundle, theta, self.robot.joints,
+        coupled = coupling_sentences(objective, self.bundle, fit.theta, self.robot.joints,
                                      held_out(self.bundle.period), self._apart)
-        rippled = ripple_sentences(objective, self.bundle, theta, name)
-        return (*self.choices[joint].sentences, *_few_blocks(fit), *rippled, *coupled)
+        return (*self.choices[joint].sentences, *_few_blocks(fit), *coupled)
 
     def _errors(self, joint, fits):
         fit, bundle = fits[joint], self.bundle

@@ -6,13 +6,12 @@ Errors on data that had no part in a fit, beside Coulomb and viscous friction al
 
 Measured and predicted torque pass through one zero-phase low-pass, below the frequencies at
 which the smoothing of the acceleration shows: the error then is the model's, not the filter's.
-What the model leaves may go with the motion of other axes, or be periodic in the angle: then a
-sentence says so.
+What the model leaves may go with the motion of other axes: then a sentence says so.
 """
 
 from collections.abc import Callable, Sequence
 
-from gms_flex_control.data.signal_analysis import low_pass, low_pass_bandwidth, rms, standing_out
+from gms_flex_control.data.signal_analysis import low_pass, low_pass_bandwidth, rms
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.friction_map import friction_torque
@@ -34,7 +33,6 @@ _SHARE = 0.25         # of what is left, on data held out, that others must acco
 _WORTH = 0.02         # of the drive torque that must be left
 _FEWEST = 100         # samples to fit and to judge by
 _OWN, _SLOW = 6, 0.05  # columns of the axis itself; speed, of the usual, where its sign is clear
-_MUCH = 0.1           # of the squares of what is left: a ripple below is not worth a word
 
 
 def _model_friction(objective, segment, theta, period):
@@ -222,30 +220,6 @@ def loops_of(objective: Objective, bundle: Bundle, theta: np.ndarray) -> tuple:
                 f'{segment.source}, {segment.begin + rows.start * bundle.period:.1f} s'))
     loops.sort(key=lambda loop: -np.nanmax(np.abs(loop.torque)))
     return tuple(loops[:_MOST_LOOPS])
-
-
-def ripple_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray, name: str) -> tuple:
-    """Return a sentence if a ripple is in what a fit leaves of a joint's torque, or none."""
-    joint, parts = objective.joint, []
-    for segment in bundle.segments:
-        keep = segment.tested[:, joint] & np.isfinite(segment.angle[:, joint])
-        if keep.any():
-            left = friction_torque(segment, bundle.arm)[:, joint] - _model_friction(
-                objective, segment, theta, bundle.period)
-            parts.append((segment.angle[keep, joint], left[keep], segment.rate[keep, joint]))
-    angles, torques, rates = zip(*parts, strict=True)
-    span = max(float(np.ptp(angle)) for angle in angles)
-    orders = standing_out(angles, torques, rates, 2.0 * np.pi * FEWEST_WAVES / max(span, 1e-300))
-    if not orders:
-        return ()
-    angle, torque = np.concatenate(angles), np.concatenate(torques)
-    waves = np.stack([np.sin(orders[0] * angle), np.cos(orders[0] * angle)], axis=1)
-    size = float(np.hypot(*np.linalg.lstsq(waves, torque, rcond=None)[0]))
-    if 0.5 * size ** 2 < _MUCH * np.mean(torque ** 2):
-        return ()
-    return (f'A ripple of about {size:.2g} N m, {orders[0]:.4g} periods per revolution of {name}, '
-            'is in what this model leaves of the torque. `gms_flex discrepancy` sizes it and adds '
-            'it to the robot file; identified again with that file, friction is free of it',)
 
 
 def coupling_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray,

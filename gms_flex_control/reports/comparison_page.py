@@ -7,13 +7,11 @@ from functools import partial
 
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.comparison import study
-from gms_flex_control.comparison.study import Condition, conditions, CONTESTANTS, NOMINAL
-from gms_flex_control.experiment.simulated import FRICTION, MASS, STIFFNESS
+from gms_flex_control.comparison.study import conditions, CONTESTANTS, NOMINAL
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports.page import Curve, Report, Series
 import numpy as np
 
-_MIXED = 'friction, K and M off together'
 _GROUPS = {'friction': 'F+-30%', 'K': 'K+-20%', 'M': 'M+-30%', '4096 counts': '4k', '16384 counts':
            '16k', '65536 counts': '65k', '200 Hz': '200Hz', '1000 Hz': '1kHz'}
 _NOTE = ('rms error of all joints and both motions [mrad], the plant as believed, then with one '
@@ -164,21 +162,10 @@ def plant_page(rows, outcomes, setting, source) -> Report:
         page.heading('Robots drawn at random').xy_chart(
             'error of all drawn robots, the best first', [_ranked(row) for row in rows],
             'share of robots', 'rms error [mrad]', log_x=False)
-    for title, shown in (('Error over time, plant as believed', traces),
-                         (f'Error over time, {_MIXED}', _traces(setting, mixed()))):
-        page.heading(title)
-        for motion, joint, series, time in shown:
-            page.chart(f'{motion}, {joint}', time, series, y_label='error [mrad]',
-                       group=f'{motion} {title}')
-    page.note(f'{_MIXED}: friction {1 / FRICTION:.3g}, K {1 / STIFFNESS:.3g} and M '
-              f'{1 / MASS:.3g} times what the controller believes, as in docs/model.md.')
+    page.heading('Error over time, plant as believed')
+    for motion, joint, series, time in traces:
+        page.chart(f'{motion}, {joint}', time, series, y_label='error [mrad]', group=motion)
     return page
-
-
-def mixed() -> Condition:
-    """Return the Condition of docs/model.md in which friction, K and M are off together."""
-    return Condition('mixed', 'mixed', friction=1 / FRICTION, stiffness=1 / STIFFNESS,
-                     mass=1 / MASS)
 
 
 def _role(mode):
