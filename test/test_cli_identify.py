@@ -78,7 +78,7 @@ def test_results_are_not_written_over_a_file(tmp_path, capsys, healthy):
 
 
 @pytest.mark.parametrize(('base', 'fault', 'words'), [
-    ('unlike', 'clock ahead', 'the clock jumps ahead'),
+    ('unlike', 'milliseconds', 'in another unit than seconds'),
     ('unlike', 'sides exchanged', 'motor and link of joint1'),
     ('rigid', 'torque reversed', 'the torque of joint1 has the wrong sign')])
 def test_a_fault_is_refused_in_one_sentence(tmp_path, capsys, base, fault, words):

@@ -35,7 +35,7 @@ def import_csv(args) -> int:
         custom['source'] = import_map.source
     write_recording(args.out, log.recording, log.motors, custom=custom)
     names = log.recording.joints
-    found = [one.text for one in check(log.recording, rigid_joints(names), rough=True)]
+    found = suspicions(log.recording)
     currents = currents_in(import_map)
     if currents:
         write_text(Path(args.out) / NAME, 'torque_constant:  # N m per unit of effort\n' + ''.join(
@@ -50,6 +50,12 @@ def import_csv(args) -> int:
         words = in_currents if len(currents) == len(names) else str
         print(words('\n'.join([*lines, f'written to {args.out}'])))
     return 0
+
+
+def suspicions(recording) -> list[str]:
+    """Return what the checks of `identify` find in a recording of a robot that is not known."""
+    found = check(recording, rigid_joints(recording.joints), rough=True)
+    return [one.text for one in found if one.kind != 'torque_scale']  # of inertia, not known yet
 
 
 def find_map(name) -> Path:
