@@ -211,18 +211,3 @@ def test_the_shell_is_told_what_may_follow(tmp_path):
     tool_in({'_ARGCOMPLETE': '1', '_ARGCOMPLETE_STDOUT_FILENAME': str(answer), 'COMP_LINE': typed,
              'COMP_POINT': str(len(typed)), '_ARGCOMPLETE_IFS': '\n', 'COMP_TYPE': '9'})
     assert 'lugre' in [word.strip() for word in answer.read_text().split('\n')]
-
-
-def test_bash_completes_a_verb(tmp_path):
-    """Let bash itself read the code and complete, with the tool on PATH."""
-    pytest.importorskip('argcomplete')
-    script = tmp_path / 'gms_flex'
-    script.write_text(f'#!/bin/sh\nexec {sys.executable} -m gms_flex_control.cli.main "$@"\n')
-    script.chmod(0o755)
-    done = subprocess.run(
-        ['bash', '-c', 'eval "$(gms_flex completion bash)"; COMP_WORDS=(gms_flex ident); '
-         'COMP_CWORD=1; COMP_LINE="gms_flex ident"; COMP_POINT=14; COMP_TYPE=9; '
-         '_python_argcomplete gms_flex; echo "${COMPREPLY[@]}"'],
-        capture_output=True, text=True, check=False,
-        env=environment_of(PATH=f'{tmp_path}{os.pathsep}{os.environ["PATH"]}'))
-    assert done.stdout.split() == ['identify'], done.stderr

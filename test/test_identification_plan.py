@@ -175,3 +175,29 @@ def test_gravity_is_held_by_a_bias():
 def test_a_step_that_cannot_keep_a_limit_is_refused_before_anything_moves(overrides, sentence):
     with pytest.raises(ConfigError, match=sentence):
         planned(**overrides)
+
+
+def test_a_recording_needs_space(tmp_path):
+    require_space(tmp_path / 'not' / 'yet', 1000)
+    with pytest.raises(ExperimentError, match=r'MB free and the recording needs about \d+ MB'):
+        require_space(tmp_path, 1e18)
+
+
+def test_amplitudes_follow_the_least_break_away_torque():
+    plan = planned('../bench/demos/identification.yaml')
+    adaptation = Adaptation(plan)
+    broken = next(step for step in plan.experiments if step.phase == 'break_away')
+    slid = next(step for step in plan.experiments if step.phase == 'presliding')
+    assert adaptation.applied_to(slid) == slid
+    top = 0.5 * plan.trajectory(broken).end
+    assert adaptation.broke_away(broken, 10 * top) == pytest.approx(abs(broken.value))
+    half = adaptation.broke_away(broken, 0.5 * top)
+    assert half == pytest.approx(0.5 * abs(broken.value))
+    adaptation.broke_away(broken, top)
+    adapted = adaptation.applied_to(slid)
+    factor = 0.85 * half / 0.10433
+    assert adapted.value == pytest.approx(factor * slid.value)
+    name = 'trajectory.joint1.levels'
+    assert adapted.trajectory_parameters[name] == pytest.approx(
+        [factor * level for level in slid.trajectory_parameters[name]])
+    assert adaptation.applied_to(broken) == broken

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import core_runs
 from core_runs import push_plant, scaled_friction, single_axis
-from gms_flex_control.friction.gms import steady_friction
+from gms_flex_control.friction import steady_friction
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.simulation import loop, plant
 from gms_flex_control.trajectory.builders import sinusoid

@@ -8,10 +8,10 @@ import json
 from pathlib import Path
 import re
 import signal
-import socket
 import subprocess
 
 from core_runs import single_axis
+from gms_flex_control import friction as gms
 from gms_flex_control.data import cdr
 from gms_flex_control.data.reader import read_blocks
 from gms_flex_control.data.recording import Recording
@@ -339,13 +339,11 @@ def test_numbers_that_are_none_are_refused(path):
         assert status == 400 and 'must be a' in json.loads(body)['reason']
 
 
-@pytest.mark.parametrize(('host', 'asked', 'good'), [
-    ('127.0.0.1', 'localhost:80', True), ('127.0.0.1', '[::1]:80', True),
-    ('127.0.0.1', '192.168.1.5:80', False), ('127.0.0.1', None, False),
-    ('127.0.0.1', 'localhost.evil.example', False), ('0.0.0.0', '192.168.1.5:80', True),
-    ('0.0.0.0', 'evil.example:80', False), ('0.0.0.0', socket.gethostname(), True)])
-def test_only_names_of_this_machine_lead_here(host, asked, good):
-    assert (Access(host).refusal_of_host(asked) == '') is good
+@pytest.mark.parametrize(('asked', 'good'), [
+    ('localhost:80', True), ('[::1]:80', True), ('127.0.0.1:8642', True),
+    ('192.168.1.5:80', False), (None, False), ('localhost.evil.example', False)])
+def test_only_names_of_this_machine_lead_here(asked, good):
+    assert (refusal_of_host(asked) == '') is good
 
 
 def run_view(*arguments):

@@ -8,7 +8,7 @@ import json
 from bench.demos.hidden_effect import draw_effect, drawable
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.effects import registry
-from gms_flex_control.effects.guess import Scales, Travel
+from gms_flex_control.effects.base import Scales, Travel
 from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.file_io import controller_file
 from gms_flex_control.schema.files import load_robot

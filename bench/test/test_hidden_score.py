@@ -9,7 +9,7 @@ from bench.__main__ import main
 from bench.hidden_robots import figures, judgement, peers, score
 from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.jobs import fingerprint, Job
-from gms_flex_control.batches import Journal
+from bench.journal import Journal
 import numpy as np
 import pytest
 
