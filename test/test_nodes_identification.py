@@ -3,9 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The identification node with real nodes over DDS: whole runs, and every way one can end."""
 
-import json
-import re
-import signal
 import warnings
 
 from gms_flex_control.data.reader import read_experiment
