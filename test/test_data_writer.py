@@ -9,7 +9,6 @@ import re
 import struct
 
 from gms_flex_control.data import cdr
-from gms_flex_control.data.metadata import definition
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
 from mcap.reader import make_reader
@@ -85,19 +84,6 @@ def test_metadata_has_the_keys_the_hashes_and_the_order_of_the_real_recorder(tmp
     ours = shape((path / 'metadata.yaml').read_text())
     assert topics in ours
     assert files in ours
-
-
-def test_a_type_of_an_installed_package_is_described_from_its_msg_files(tmp_path, monkeypatch):
-    folder = tmp_path / 'share' / 'my_msgs' / 'msg'
-    folder.mkdir(parents=True)
-    (folder / 'Gripper.msg').write_text('std_msgs/Header header\nFinger[2] fingers\n')
-    (folder / 'Finger.msg').write_text('float64 force 1.0  # [N]\nstring<=8 name\n')
-    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
-    described = definition('my_msgs/msg/Gripper')
-    assert 'MSG: my_msgs/Finger' in described.text
-    assert re.fullmatch('RIHS01_[0-9a-f]{64}', described.type_hash)
-    with pytest.raises(BagError, match=r'neither a standard one nor installed as share/no_msgs'):
-        definition('no_msgs/msg/Thing')
 
 
 def read_by_others(data, type_name):
