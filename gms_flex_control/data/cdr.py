@@ -160,7 +160,7 @@ def _multi_array_struct(label_sizes, count):
     return struct.Struct(''.join(form))
 
 
-def pack_multi_array(dims, data, data_offset=0) -> bytes:
+def pack_multi_array(dims, data) -> bytes:
     """Pack a Float64MultiArray of ``dims`` (label, size, stride) and ``data``, best a list."""
     fields, sizes = [], []
     for label, size, stride in dims:
@@ -168,7 +168,7 @@ def pack_multi_array(dims, data, data_offset=0) -> bytes:
         sizes.append(len(text))
         fields += (len(text), text, size, stride)
     return _multi_array_struct(tuple(sizes), len(data)).pack(
-        LITTLE_ENDIAN, len(sizes), *fields, data_offset, len(data), *data)
+        LITTLE_ENDIAN, len(sizes), *fields, 0, len(data), *data)
 
 
 def pack_command(torque, stamp=None, source=None) -> bytes:

@@ -46,14 +46,14 @@ class Candidate(NamedTuple):
         return trajectory_from_values(values | self.parameters, joints)
 
 
-def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: int = 0,
+def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0,
                stuck: np.ndarray | None = None) -> list[Candidate]:
     """
     Return motions of many kinds: swings, tones, strokes, moves, of all joints and of single ones.
 
     They use 80 % of range and velocity, ``pace`` times as slow as the limits allow, since torque
-    may demand it. ``seed`` is of postures and phases; ``stuck`` (n,) are amplitudes at which
-    friction holds every link, from `below_break_away` [rad].
+    may demand it. ``stuck`` (n,) are amplitudes at which friction holds every link, from
+    `below_break_away` [rad].
     """
     reach = _reach(limits, joints)
     several = 'all joints' if len(joints) > 1 else joints[0]
@@ -63,9 +63,9 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: i
     found = [
         swing('short_swings', f'short fast swings of {several}', _SHORT * reach),
         swing('medium_swings', f'medium fast swings of {several}', _MEDIUM * reach),
-        _tones('tones', f'many tones at once of {several}', reach, limits, joints, pace, seed),
+        _tones('tones', f'many tones at once of {several}', reach, limits, joints, pace, 0),
         swing('fast_swings', f'wide fast swings of {several}', reach),
-        random_moves(limits, joints, seed, pace),
+        random_moves(limits, joints, 0, pace),
         swing('tiny_swings', f'tiny quick swings of {several}', _TINY * reach),
         swing('slow_swings', f'wide slow swings of {several}', reach, _SLOW),
         _strokes('strokes', f'strokes of {several}, each shorter and slower than the last',
@@ -76,9 +76,9 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: i
             'below_break_away', f'slow ramps of {several} up to half of break-away',
             np.minimum(stuck, _CREEPING * reach), 3.0 * _CREEP)]),
         _postures('fast_postures', f'fast moves with holds at {_POSTURES} postures', reach,
-                  limits, joints, pace, seed + 1),
+                  limits, joints, pace, 1),
         _postures('slow_postures', f'slow moves with holds at {_POSTURES} postures', reach,
-                  limits, joints, _SLOW * pace, seed)]
+                  limits, joints, _SLOW * pace, 0)]
     for j in np.flatnonzero(reach) if len(joints) > 1 else ():
         joint = joints[j]
         alone = np.where(np.arange(len(joints)) == j, reach, 0.0)

@@ -56,6 +56,7 @@ _PHASES = 0.05      # between the times at which the motion may be stopped [s]
 _EXPECTED = 0.5     # relative error of an expected gain of log odds: seen on hidden robots
 _LEAST_SCATTER = 0.5  # of log odds
 _ITERATIONS = 3     # of re-tuning along old and new recordings
+_SUBSTEPS = 20      # of the simulation per sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,15 +255,15 @@ class Recorded(NamedTuple):
         return self.reference
 
 
-def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period: float,
-            seed: int = 0) -> Loop:
+def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period: float
+            ) -> Loop:
     """
     Return the Loop with each hypothesis as the robot, as fitted and at two standard deviations.
 
     A robot that would have crossed a limit along a recorded reference is refuted by the recording
     and need keep none. The load is that of the last recording.
     """
-    rng, so_far, believed = np.random.default_rng(seed), beliefs.likelihood, beliefs.robot
+    rng, so_far, believed = np.random.default_rng(0), beliefs.likelihood, beliefs.robot
     fitted = tuple(one.robot(so_far) for one in beliefs.hypotheses)
     drawn = [one.robot(so_far, _SIGMAS, rng) for one in beliefs.hypotheses for _ in range(_DRAWS)]
     loop = Loop(gains, limits, period, fitted, (), beliefs.recordings[-1].operation.load)
@@ -328,14 +329,14 @@ def stops_within(candidate: Candidate, joints: Sequence[str], duration: float, l
 
 def closed_loop_plan(robot: RobotParams, believed: RobotParams, candidate: Candidate,
                      duration: float, gains: ControllerParams, *, period: float,
-                     substeps: int = 20, seed: int = 0) -> Plan:
+                     seed: int = 0) -> Plan:
     """Return the closed loop (Plan) of a robot along a motion, from rest at zero."""
     trajectory = candidate.trajectory(robot.joints)
     start = np.zeros(robot.n_joints)
     return Plan(robot=robot, model=believed, gains=gains,
                 trajectory=builders.approach(builders.at_rest(start), trajectory, 0.0),
                 motion=candidate.name, duration=duration, period_ns=round(1e9 * period),
-                substeps=substeps, seed=seed, q_link=start)
+                substeps=_SUBSTEPS, seed=seed, q_link=start)
 
 
 def loaded(robot: RobotParams, load: Body | None) -> RobotParams:

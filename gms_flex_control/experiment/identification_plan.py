@@ -160,11 +160,11 @@ class Adaptation:
     """
     What the break-away steps have found, and what follows for presliding.
 
-    ``found`` is the least torque at break-away by joint [N m]; changed in place.
+    ``found`` is the least torque at break-away by joint [N m].
     """
 
-    def __init__(self, plan, found=None):
-        self._plan, self.found = plan, {} if found is None else found
+    def __init__(self, plan):
+        self._plan, self.found = plan, {}
 
     def broke_away(self, step, time) -> float:
         """

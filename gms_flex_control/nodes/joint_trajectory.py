@@ -150,11 +150,11 @@ class Following:
     be called for every joint state, with the lock.
     """
 
-    def __init__(self, node, motion, prepare, kind=FollowJointTrajectory):
-        self._node, self._motion, self._prepare, self._kind = node, motion, prepare, kind
+    def __init__(self, node, motion, prepare):
+        self._node, self._motion, self._prepare = node, motion, prepare
         self._active = None      # (handle, Goal, end, Trajectory, Future of the result)
         self._reported = 0       # stamp of the last feedback
-        ActionServer(node, kind, '~/follow_joint_trajectory', self._execute,
+        ActionServer(node, FollowJointTrajectory, '~/follow_joint_trajectory', self._execute,
                      cancel_callback=lambda _: CancelResponse.ACCEPT)
 
     async def _execute(self, handle):
@@ -174,7 +174,7 @@ class Following:
         return await future
 
     def _result(self, code, sentence):
-        return self._kind.Result(error_code=code, error_string=sentence)
+        return FollowJointTrajectory.Result(error_code=code, error_string=sentence)
 
     def look(self, stamp) -> None:
         """Judge the goal, if there is one, by the state of ``stamp`` [ns]; answer its client."""
@@ -199,7 +199,7 @@ class Following:
             self._finish(handle.succeed if reached else handle.abort, *verdict)
         elif not 0 <= stamp - self._reported < _FEEDBACK_PERIOD:
             self._reported = stamp
-            feedback = self._kind.Feedback(joint_names=list(motion.joints))
+            feedback = FollowJointTrajectory.Feedback(joint_names=list(motion.joints))
             set_stamp(feedback.header.stamp, stamp)
             for point, rows in ((feedback.desired, desired), (feedback.actual, actual),
                                 (feedback.error, desired - actual)):

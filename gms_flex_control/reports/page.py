@@ -110,18 +110,18 @@ class Report:
         return self._add('figure', f'<figure role="img" aria-label="{caption}">'
                          f'{svg(figure, self._words)}<figcaption>{caption}</figcaption></figure>')
 
-    def chart(self, title, x, series, x_label='time [s]', y_label='', group='time') -> Self:
+    def chart(self, title, time, series, y_label='', group='time') -> Self:
         """
-        Add an interactive chart of Series over an increasing x (T,).
+        Add an interactive chart of Series over an increasing ``time`` (T,) [s].
 
         Charts of one ``group`` share cursor, pan and zoom. Series without a number are left out,
-        and a chart without series. ValueError if lengths differ, x does not increase or is not
+        and a chart without series. ValueError if lengths differ, time does not increase or is not
         finite, or a role is unknown.
         """
         series = [item for item in series if np.isfinite(item.y).any()]
         if not series:
             return self
-        grid, values = merge_grids(x, [(item.label, item.x, item.y) for item in series])
+        grid, values = merge_grids(time, [(item.label, item.x, item.y) for item in series])
         shown = decimate(grid, values, MAX_POINTS)
         if len(shown[0]) < len(grid):
             title += f' (extremes of every {2 * len(grid) / len(shown[0]):.0f} samples)'
@@ -130,7 +130,7 @@ class Report:
             lines.append({'label': self._words(item.label), 'y': self._store(y, '<f4'),
                           'role': _role(item, i), 'dashed': item.dashed, 'hidden': item.hidden})
         self._charts.append({'x': self._store(shown[0], '<f8'), 'series': lines,
-                             'x_label': self._words(x_label), 'y_label': self._words(y_label),
+                             'x_label': 'time [s]', 'y_label': self._words(y_label),
                              'group': group})
         return self._add('chart', _chart_html(len(self._charts) - 1, self._words(title)))
 

@@ -21,13 +21,12 @@ NAMES = {'none': 'without compensation', 'gms_paper': "with the paper's observer
 _LOOKS = {'none': (1, '-'), 'gms_paper': (2, '-.'), 'gms': (0, '-')}  # colour and line style
 
 
-def write_tracking_report(runs, folder, friction_true=None, title='Tracking report', *,
-                          subtitle=None, beside=None) -> Table4:
+def write_tracking_report(runs, folder, title='Tracking report', *, subtitle=None, beside=None
+                          ) -> Table4:
     """
     Write table4.json, report.html and the PNGs of runs (Run) to a folder; return the Table4.
 
-    ``friction_true`` (T, n) [N m] is that of a simulated run, by its index in ``runs``;
-    ``beside`` further runs of which only the table is given, under their name.
+    ``beside`` are further runs of which only the table is given, under their name.
     """
     folder = Path(folder)
     table = table4(runs)
@@ -52,13 +51,13 @@ def write_tracking_report(runs, folder, friction_true=None, title='Tracking repo
         report.table(*other.rows())
     report.heading('Position errors')
     _add_error_charts(report, runs, lambda place: place != hardest)
-    for i, run in enumerate(runs):
-        _add_run(report, run, (friction_true or {}).get(i))
+    for run in runs:
+        _add_run(report, run)
     report.write(folder / 'report.html')
     return table
 
 
-def _add_run(report, run, friction_true):
+def _add_run(report, run):
     """Add angle, torsion, torque and friction of each joint, so far as they were recorded."""
     recording = run.recording
     report.heading(_title(run))
@@ -66,12 +65,12 @@ def _add_run(report, run, friction_true):
                 f'{recording.time[-1]:.6g} s, median period {1e3 * recording.period:.4g} ms.')
     for i, joint in enumerate(recording.joints):
         report.heading(joint, level=3)
-        for name, unit, series in _joint_charts(recording, i, friction_true):
+        for name, unit, series in _joint_charts(recording, i):
             report.chart(f'{joint}: {name}', recording.time, series, y_label=f'{name} [{unit}]',
                          group=f'{run.trajectory} {run.compensation} {recording.source}')
 
 
-def _joint_charts(recording, i, friction_true):
+def _joint_charts(recording, i):
     yield 'angle', 'rad', [
         Series('link', recording.q_link[:, i], role='c0'),
         Series('motor', recording.q_motor[:, i], role='c4', hidden=True),
@@ -81,10 +80,7 @@ def _joint_charts(recording, i, friction_true):
     yield 'torque', 'N m', [
         Series('applied', recording.tau_motor[:, i], role='c0'),
         Series('command', recording.command[:, i], role='c1', dashed=True)]
-    truth = np.full(len(recording.time), np.nan) if friction_true is None else friction_true[:, i]
-    yield 'friction', 'N m', [
-        Series('estimate', recording.friction_hat[:, i], role='c2'),
-        Series('true', truth, role='reference', dashed=True)]
+    yield 'friction', 'N m', [Series('estimate', recording.friction_hat[:, i], role='c2')]
 
 
 def _by_trajectory(runs):

@@ -20,26 +20,21 @@ _WRAPPER = 'ros__parameters'
 _UNBROKEN = 4096           # characters: a line of a written file is never wrapped
 
 
-def read_parameters(path, node: str | None = None) -> dict:
+def read_parameters(path) -> dict:
     """
-    Read a ROS parameter file: flat name to value and line number (from 1).
+    Read the section ``/**`` of a ROS parameter file: flat name to value and line number (from 1).
 
-    Taken is the section ``/**``, and that of ``node``. ConfigError if the file cannot be read or
-    is no ROS parameter file.
+    ConfigError if the file cannot be read or is no ROS parameter file.
     """
     path = Path(path)
-    return _flat_sections(checked_yaml(path, ConfigError), path, node)
-
-
-def _flat_sections(document, path, node):
-    sections = {'/**', '**', *({node, f'/{node}'} if node else ())}
+    document = checked_yaml(path, ConfigError)
     if not isinstance(document, dict) or not any(
             isinstance(section, dict) and _WRAPPER in section for section in document.values()):
         raise ConfigError(f"{path}: is not a ROS parameter file; it begins with '/**:' and "
                           f"'{_WRAPPER}:'")
     flat = {}
     for name, section in document.items():
-        if (name in sections and isinstance(section, dict)
+        if (name in ('/**', '**') and isinstance(section, dict)
                 and isinstance(section.get(_WRAPPER), dict)):
             _flatten(section[_WRAPPER], '', flat)
     return flat
@@ -54,11 +49,11 @@ def _flatten(mapping, prefix, flat):
             flat[f'{prefix}{name}'] = (value, line)
 
 
-def read_values(paths, node: str | None = None) -> tuple[dict, dict]:
+def read_values(paths) -> tuple[dict, dict]:
     """Return merged flat values of files, later ones winning, and ``file:line`` of each."""
     values, places = {}, {}
     for path in paths:
-        for name, (value, line) in read_parameters(path, node).items():
+        for name, (value, line) in read_parameters(path).items():
             if name == 'arm.urdf' and isinstance(value, str) and value:
                 value = str(Path(path).absolute().parent / value)
             values[name], places[name] = value, f'{path}:{line}'
