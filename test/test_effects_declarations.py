@@ -50,8 +50,8 @@ def test_an_effect_says_what_it_shows_against_and_what_it_is_confused_with(name)
     kind = registry.find(name)
     assert kind.evidence in VARIABLES
     assert kind.discriminated_by and not kind.discriminated_by.endswith('.')
-    for other in kind.confusable:
-        assert other != name and name in registry.find(other).confusable
+    for other in kind.similar:
+        assert other != name and name in registry.find(other).similar
 
 
 @pytest.mark.parametrize('name', registry.names())
@@ -76,7 +76,7 @@ class CableDrag(Term):
     name = 'cable_drag'
     stage = Stage.FRICTION
     evidence = 'link rate'
-    confusable = ()
+    similar = ()
     discriminated_by = 'the same motion without the cable'
     parameters = (Parameter('slope', 'N m s/rad', 'slope'),)
 

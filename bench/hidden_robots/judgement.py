@@ -8,7 +8,7 @@ import numpy as np
 
 WORKFLOW = 'workflow'  # among those that answer
 RIGHT, BELIEF, CONFUSABLE, WRONG, UNEXPLAINED, NOTHING, FAULT = (
-    'right', 'belief', 'confusable', 'wrong', 'unexplained', 'nothing', 'fault')
+    'right', 'belief', 'indistinguishable', 'wrong', 'unexplained', 'nothing', 'fault')
 FAR_OFF = 0.04  # what is believed that far from the truth may be named
 # effects that are errors of belief: which, of populations.belief_errors
 BELIEFS = {
@@ -79,7 +79,7 @@ def judged(outcome, tool=WORKFLOW):
     Return what the first name given by a tool is worth, of an outcome with one main effect.
 
     'right' (effect and joint), 'belief' (a parameter that truly is far from what is believed),
-    'confusable' (another, which the answer calls indistinguishable from the right one), 'wrong',
+    'indistinguishable' (another, which the answer says to be so from the right one), 'wrong',
     'unexplained', 'nothing' found, or 'fault' of data or tool.
     """
     given, hidden = names_given(outcome, tool), hidden_names(outcome)[0]

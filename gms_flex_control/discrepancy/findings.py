@@ -187,7 +187,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
         spec = found.best.model.robot.effects[one.index]
         others, kind = _rivals(found, one, spec), find(spec.name)
         alike = {(name, joint) for name, joint, share in others if share > _ALIKE or (
-            name in kind.confusable and share > kind.declared_from)}
+            name in kind.similar and share > kind.declared_from)}
         out.append(Finding(
             effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),
             main=main, torque=one.torque,

@@ -168,7 +168,7 @@ def timed(likelihood, found) -> Found:
     for i in range(likelihood.known, len(found.best.model.robot.effects)):
         model = found.best.model
         spec = model.robot.effects[i]
-        for name in find(spec.name).confusable if find(spec.name).of_feedback else ():
+        for name in find(spec.name).similar if find(spec.name).of_feedback else ():
             kind = find(name)
             other = replace(spec, name=name, values=(
                 min(spec.values[0], kind.parameters[0].upper),))

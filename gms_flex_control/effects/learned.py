@@ -97,7 +97,7 @@ def _sign(rate, still):
 class Learned(Term):
     """A term that is linear in weights; ``count`` of them are its first parameters."""
 
-    confusable = ()
+    similar = ()
     discriminated_by = 'another motion over the same range'
     count = KNOTS
     written = True            # belongs into a robot file

@@ -45,7 +45,7 @@ class ActuatorDeadzone(Term):
     words = 'Small commands that move nothing'
     stage = Stage.ACTUATOR
     evidence = 'torque'
-    confusable = ('backlash',)
+    similar = ('backlash',)
     discriminated_by = 'fast motion with small torque beside slow motion with large torque'
     needs_commands = True
     parameters = (Parameter('deadzone', 'N m', 'half width', lower=0.0,
@@ -88,7 +88,7 @@ class ActuatorLag(Term):
     stage = Stage.ACTUATOR
     memory_size = 1
     evidence = 'time since reversal'
-    confusable = ('input_delay', 'recording_delay')
+    similar = ('input_delay', 'recording_delay')
     discriminated_by = 'torque that changes faster, up to a tenth of the sample rate'
     of_feedback = True
     needs_commands = True
@@ -119,7 +119,7 @@ class InputDelay(Term):
     stage = Stage.ACTUATOR
     memory_size = 2 + 2 * _SLOTS  # time, newest slot, (since when, torque) of each slot
     evidence = 'time since reversal'
-    confusable = ('actuator_lag', 'recording_delay')
+    similar = ('actuator_lag', 'recording_delay')
     discriminated_by = 'torque that changes faster, up to a tenth of the sample rate'
     of_feedback = True
     needs_commands = True

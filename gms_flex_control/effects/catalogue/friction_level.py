@@ -25,7 +25,7 @@ class CoulombError(Change):
     name = 'coulomb_error'
     words = 'Level of the friction other than believed'
     evidence = 'link rate'
-    confusable = ('friction_drift', 'motor_coulomb')
+    similar = ('friction_drift', 'motor_coulomb')
     discriminated_by = 'the same motion at the beginning and at the end of a long run'
     replaces = 'level'
     parameters = (Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True,
@@ -50,7 +50,7 @@ class FrictionAsymmetry(Term):
     words = 'Friction stronger one way than the other'
     stage = Stage.FRICTION
     evidence = 'link rate'
-    confusable = ('constant_link_torque', 'viscous_asymmetry')
+    similar = ('constant_link_torque', 'viscous_asymmetry')
     discriminated_by = 'motion both ways over the whole range, with rests between'
     replaces = 'asymmetry'
     parameters = (Parameter('ratio', '1', 'relative difference', typical=0.2,
@@ -78,7 +78,7 @@ class FrictionDrift(Term):
     words = 'Friction that changes over the run, by warming or wear'
     stage = Stage.FRICTION
     evidence = 'time'
-    confusable = ('coulomb_error',)
+    similar = ('coulomb_error',)
     discriminated_by = 'the same motion at the beginning and at the end of a long run'
     parameters = (
         Parameter('ratio', '1', 'relative change over the duration', relative=True, typical=0.3),
@@ -98,7 +98,7 @@ class ViscousError(Term):
     words = 'Slope of the friction over velocity other than believed'
     stage = Stage.FRICTION
     evidence = 'link rate'
-    confusable = ('quadratic_drag', 'motor_viscous')
+    similar = ('quadratic_drag', 'motor_viscous')
     discriminated_by = 'faster motion, over a range of speeds of 1 to 5'
     replaces = 'viscous'
     least_is_value = True     # no viscous friction at all
@@ -128,7 +128,7 @@ class ViscousAsymmetry(Term):
     words = 'Viscous friction that differs by direction'
     stage = Stage.FRICTION
     evidence = 'link rate'
-    confusable = ('friction_asymmetry',)
+    similar = ('friction_asymmetry',)
     discriminated_by = 'motion both ways over a range of speeds of 1 to 5'
     replaces = 'viscous_asymmetry'
     parameters = (Parameter('slope', 'N m s/rad',
@@ -152,7 +152,7 @@ class StribeckError(Change):
     name = 'stribeck_error'
     words = 'Friction at low speed other than believed'
     evidence = 'link rate'
-    confusable = ('low_speed_friction',)
+    similar = ('low_speed_friction',)
     discriminated_by = 'slow motion at many constant speeds'
     replaces = 'static'
     parameters = (Parameter('ratio', '1', 'further friction at rest over the Coulomb level',
@@ -183,7 +183,7 @@ class PreslidingError(Change):
     name = 'presliding_error'
     words = 'Friction before sliding other than believed'
     evidence = 'time since reversal'
-    confusable = ('friction_hysteresis',)
+    similar = ('friction_hysteresis',)
     discriminated_by = 'many small reversals, of a few mrad'
     replaces = 'blocks'
     parameters = (

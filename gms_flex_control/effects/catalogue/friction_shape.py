@@ -79,7 +79,7 @@ class LowSpeedFriction(Term):
     words = 'Friction at low speed of another shape than the Stribeck curve'
     stage = Stage.FRICTION
     evidence = 'link rate'
-    confusable = ('stribeck_error',)
+    similar = ('stribeck_error',)
     discriminated_by = 'slow motion at many constant speeds'
     fed_forward = True
     parameters = (
@@ -103,7 +103,7 @@ class QuadraticDrag(Term):
     words = 'Drag of a fluid'
     stage = Stage.LINK
     evidence = 'link rate'
-    confusable = ('viscous_error',)
+    similar = ('viscous_error',)
     discriminated_by = 'faster motion, over a range of speeds of 1 to 5'
     fed_forward = True
     parameters = (Parameter('drag', 'N m s^2/rad^2', 'coefficient', lower=0.0,
@@ -126,7 +126,7 @@ class FrictionHysteresis(Term):
     stage = Stage.FRICTION
     memory_size = 2 + _ELEMENTS  # angle before, whether there is one, torque over force of each
     evidence = 'time since reversal'
-    confusable = ('friction_backlash', 'presliding_error')
+    similar = ('friction_backlash', 'presliding_error')
     discriminated_by = 'many reversals of several sizes, from small ones to beyond the reach'
     fed_forward = True
     parameters = (
@@ -167,7 +167,7 @@ class FrictionBacklash(Term):
     stage = Stage.FRICTION
     memory_size = 3           # angle before, whether there is one, z
     evidence = 'time since reversal'
-    confusable = ('friction_hysteresis',)
+    similar = ('friction_hysteresis',)
     discriminated_by = 'many reversals of several sizes, smaller and larger than the play'
     parameters = (
         Parameter('force', 'N m', 'torque once it slips', lower=0.0,

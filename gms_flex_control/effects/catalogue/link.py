@@ -17,7 +17,7 @@ class LinkInertiaError(Change):
     name = 'link_inertia_error'
     words = 'Inertia of a link other than believed'
     evidence = 'link acceleration'
-    confusable = ('tip_payload',)
+    similar = ('tip_payload',)
     discriminated_by = 'the joint alone with the others bent and stretched'
     replaces = 'inertia'
     parameters = (Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True,
@@ -44,7 +44,7 @@ class TipPayload(Change):
     whole_arm = True
     needs_chain = True
     evidence = 'link acceleration'
-    confusable = ('link_inertia_error',)
+    similar = ('link_inertia_error',)
     discriminated_by = 'the same motion with the last link bent and stretched'
     parameters = (Parameter('mass', 'kg', 'mass of the payload', lower=0.0,
                             typical=lambda s: 0.1 * s.mass),)
@@ -122,7 +122,7 @@ class ConstantLinkTorque(Term):
     words = 'Constant torque on the link, as from a cable'
     stage = Stage.LINK
     evidence = 'link rate'
-    confusable = ('spring_offset', 'friction_asymmetry', 'motor_torque_bias')
+    similar = ('spring_offset', 'friction_asymmetry', 'motor_torque_bias')
     declared_from = 0.3       # levels that differ by direction are nearly a constant torque
     discriminated_by = 'motion both ways over the whole range, with rests between'
     fed_forward = True

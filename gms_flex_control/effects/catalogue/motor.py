@@ -96,7 +96,7 @@ class MotorViscous(Term):
     words = 'Viscous friction of the motor side'
     stage = Stage.MOTOR
     evidence = 'motor rate'
-    confusable = ('viscous_error',)
+    similar = ('viscous_error',)
     discriminated_by = 'fast motion of the motor with the link taken off'
     fed_forward = True
     parameters = (Parameter('viscous', 'N m s/rad', 'viscous coefficient', lower=0.0,
@@ -117,7 +117,7 @@ class MotorCoulomb(Term):
     words = 'Dry friction of the motor side'
     stage = Stage.MOTOR
     evidence = 'motor rate'
-    confusable = ('coulomb_error',)
+    similar = ('coulomb_error',)
     discriminated_by = 'slow motion of the motor with the link taken off'
     parameters = (Parameter('coulomb', 'N m', 'level', lower=0.0,
                             typical=lambda s: 0.3 * s.friction),)
@@ -136,7 +136,7 @@ class MotorTorqueBias(Term):
     words = 'Constant torque on the motor, as from an amplifier offset'
     stage = Stage.MOTOR
     evidence = 'motor rate'
-    confusable = ('constant_link_torque',)
+    similar = ('constant_link_torque',)
     discriminated_by = 'a recording with another load, or with the link held'
     fed_forward = True
     parameters = (Parameter('bias', 'N m', 'torque', typical=lambda s: 0.3 * s.friction),)
@@ -155,7 +155,7 @@ class TorqueRipple(Term):
     words = 'Ripple of motor or gear, periodic in the motor angle'
     stage = Stage.MOTOR
     evidence = 'motor angle'
-    confusable = ('kinematic_error',)
+    similar = ('kinematic_error',)
     discriminated_by = 'the same motion under another load'
     fed_forward = True
     parameters = (

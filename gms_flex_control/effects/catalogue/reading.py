@@ -92,7 +92,7 @@ class RecordingDelay(Term):
     stage = Stage.SENSOR
     whole_arm = True
     evidence = 'time since reversal'
-    confusable = ('actuator_lag', 'input_delay')
+    similar = ('actuator_lag', 'input_delay')
     discriminated_by = ('fast motion of each joint in turn: drives are late one by one, a '
                         'recording at once')
     needs_link_encoder = True

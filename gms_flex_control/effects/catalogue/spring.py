@@ -26,7 +26,7 @@ class StiffnessError(Change):
     name = 'stiffness_error'
     words = 'Joint stiffness other than believed'
     evidence = 'torsion'
-    confusable = ('stiffness_drift',)
+    similar = ('stiffness_drift',)
     discriminated_by = 'a longer recording, or one before and one after warming up'
     replaces = 'stiffness'
     parameters = (Parameter('ratio', '1', 'relative error', lower=-0.99, relative=True,
@@ -48,7 +48,7 @@ class StiffnessDrift(Term):
     words = 'Spring that changes over the run, as by warming'
     stage = Stage.SPRING
     evidence = 'time'
-    confusable = ('stiffness_error',)
+    similar = ('stiffness_error',)
     discriminated_by = 'a longer recording, or one before and one after warming up'
     parameters = (
         Parameter('ratio', '1', 'relative change over the duration', relative=True, typical=0.2),
@@ -128,7 +128,7 @@ class SpringOffset(Term):
     words = 'Rest position of the spring away from zero'
     stage = Stage.TORSION
     evidence = 'torsion'
-    confusable = ('constant_link_torque',)
+    similar = ('constant_link_torque',)
     discriminated_by = 'a recording with another load, or with the link held'
     needs_link_encoder = True
     parameters = (Parameter('offset', 'rad', 'torsion of the unloaded spring, negative',
@@ -147,7 +147,7 @@ class Backlash(Term):
     words = 'Play in the transmission'
     stage = Stage.TORSION
     evidence = 'torsion'
-    confusable = ('actuator_deadzone',)
+    similar = ('actuator_deadzone',)
     discriminated_by = 'slow reversals under load, and with the link free'
     parameters = (Parameter('half_gap', 'rad', 'half width of the play', lower=0.0,
                             typical=lambda s: 0.2 * s.torsion),)
@@ -169,7 +169,7 @@ class KinematicError(Term):
     words = 'Position error of a strain-wave gear, twice per motor revolution'
     stage = Stage.TORSION
     evidence = 'motor angle'
-    confusable = ('torque_ripple',)
+    similar = ('torque_ripple',)
     discriminated_by = 'the same motion under another load'
     needs_link_encoder = True
     parameters = (
