@@ -81,7 +81,7 @@ def part(take, begin, end):
 
 
 def pendulum(inertia=0.02, pull=0.5, offset=-1.2, constant=0.0, seconds=40.0, rate=200.0, seed=0,
-             ripple=(0.0, 0.0, 0.0), pace=1.0):
+             ripple=(0.0, 0.0, 0.0), pace=1.0, per_load=0.0):
     """Return a Recording of a pendulum with Coulomb and viscous friction, in closed form."""
     time = np.arange(int(seconds * rate)) / rate
     parts = [(0.9, 0.31 * pace, 0.0), (0.5, 0.83 * pace, 1.0), (0.25, 1.7 * pace, 2.0)]
@@ -90,6 +90,7 @@ def pendulum(inertia=0.02, pull=0.5, offset=-1.2, constant=0.0, seconds=40.0, ra
     ddq = -sum(a * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time + p) for a, f, p in parts)
     torque = (inertia * ddq + pull * np.cos(q + offset) + 0.06 * np.tanh(dq / 0.01) + 0.01 * dq
               + constant - ripple[0] * np.sin(ripple[1] * q + ripple[2]))
+    torque /= 1.0 - per_load * np.tanh(dq / 0.01) * np.sign(torque)  # of all that is carried
     torque = torque + 2e-3 * np.random.default_rng(seed).standard_normal(len(time))
     held = np.append(torque[0], 0.5 * (torque[1:] + torque[:-1]))
     none, column = np.full((len(time), 1), np.nan), q[:, None]

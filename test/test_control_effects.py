@@ -31,7 +31,7 @@ def rms(run):
 
 
 @pytest.mark.parametrize('effects', [(), (
-    spec('load_friction', ratio=0.3, load=0.05),
+    spec('load_friction', ratio=0.3, reach=1e-3),
     spec('torque_ripple', amplitude=0.01, order=12.0, phase=0.3))])
 def test_stepped_as_by_nodes_it_is_the_compiled_loop_bit_by_bit(effects, robot, gains):
     noisy = replace(robot, encoder=replace(robot.encoder, noise=1e-4))
@@ -85,15 +85,19 @@ def test_a_constant_torque_on_the_link_is_met_through_the_spring(robot, gains):
     assert after[:, 1] - before[:, 1] == pytest.approx(-0.02)
 
 
-@pytest.mark.parametrize(('effect', 'factor'), [
-    (spec('load_friction', ratio=0.3, load=0.05), lambda q: 1.0 + 0.3 * 0.05 * 1.5 / 0.05),
-    (spec('position_friction', ratio=0.2, order=3.0, phase=0.4),
-     lambda q: 1.0 + 0.2 * np.cos(3.0 * q + 0.4))])
-def test_the_friction_estimate_follows_load_and_position(effect, factor, robot, gains):
+def test_the_friction_estimate_follows_the_position(robot, gains):
+    effect = spec('position_friction', ratio=0.2, order=3.0, phase=0.4)
     (_, before), (_, after) = answers((effect,), robot, gains)
     q = 0.2 + 0.5 * PERIOD * np.arange(len(before))
     assert np.ptp(before[:, 1]) > 0.01
-    assert after[:, 1] == pytest.approx(factor(q) * before[:, 1])
+    assert after[:, 1] == pytest.approx((1.0 + 0.2 * np.cos(3.0 * q + 0.4)) * before[:, 1])
+
+
+def test_the_friction_estimate_follows_the_load(robot, gains):
+    """The torsion is 0.05 rad of 1.5 N m/rad; the reach is crossed by the second sample."""
+    effect = spec('load_friction', ratio=0.3, reach=0.25 * PERIOD)
+    (_, before), (_, after) = answers((effect,), robot, gains)
+    assert after[1:, 1] == pytest.approx(before[1:, 1] + 0.3 * 0.05 * 1.5)
 
 
 def test_of_a_rigid_joint_the_load_is_the_command_less_what_the_rotor_asks_for(robot, gains):
@@ -103,7 +107,7 @@ def test_of_a_rigid_joint_the_load_is_the_command_less_what_the_rotor_asks_for(r
         kind='decoupled', mass=none, length=none, com=none, inertia=0.05 * one,
         motor_inertia=0.005 * one, stiffness=np.inf * one, damping=none))
     found = []
-    for effects in ((), (spec('load_friction', ratio=0.3, load=0.05),)):
+    for effects in ((), (spec('load_friction', ratio=0.3, reach=5e-4),)):
         controller = SteppedController(gains, replace(rigid, effects=effects))
         for k in range(10):
             controller.measured.q_link[:] = controller.measured.q_motor[:] = 1e-3 * k
@@ -112,7 +116,7 @@ def test_of_a_rigid_joint_the_load_is_the_command_less_what_the_rotor_asks_for(r
         found.append((controller.state.command[1], controller.state.friction_hat[1]))
     (command, before), (_, after) = found
     assert abs(command) > 0.1
-    assert after == pytest.approx(before * (1.0 + 0.3 * abs(command - 0.02) / 0.05))
+    assert after == pytest.approx(before + 0.3 * abs(command - 0.02))
 
 
 def test_effects_that_are_parameters_become_parameters(robot):

@@ -59,8 +59,7 @@ EQUATIONS = {
         s.torsion + a * np.sin(2 * s.q_motor + b))),
     'link_encoder_eccentricity': ([0.02, 0.3], 'sensed_link', lambda s, a, b: (
         s.sensed_link + a * np.sin(s.q_link + b))),
-    'load_friction': ([0.1, 0.5], 'friction', lambda s, a, b: (
-        s.friction * (1 + a * abs(s.spring) / b))),
+    'load_friction': ([0.1, 0.01], 'friction', lambda s, *p: s.friction),  # begins so
     'low_speed_friction': ([-0.3, 0.05], 'friction', lambda s, a, b: (
         s.friction * (1 + a * np.exp(-abs(s.dq_link) / b)))),
     'motor_coulomb': ([0.02], 'motor_torque', lambda s, a: (
@@ -94,7 +93,7 @@ FURTHER = {'backlash': [sig.TORSION_RATE], 'base_flexibility': [sig.SENSED_MOTOR
                                for side in (sig.SENSED_LINK, sig.SENSED_MOTOR)]}
 # values with which an effect does nothing
 NOTHING = {name: [0.0] * len(registry.find(name).parameters) for name in TERMS}
-NOTHING |= {'actuator_saturation': [1e6], 'end_stop': [10.0, 0.0], 'load_friction': [0.0, 1.0]}
+NOTHING |= {'actuator_saturation': [1e6], 'end_stop': [10.0, 0.0], 'load_friction': [0.0, 1e-3]}
 
 
 def row_of(name):

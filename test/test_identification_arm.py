@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from gms_flex_control.data.csv_import import import_csv
+from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_fit import estimate_arm
 from gms_flex_control.identification.assumed_robot import rigid_joints
@@ -16,6 +18,7 @@ from gms_flex_control.identification.base_parameters import (
     nearest_arm,
 )
 from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.simulation import plant
 from identified_axis import axis, experiment, pendulum
 import numpy as np
 import pytest
@@ -31,7 +34,7 @@ def test_inertia_and_gravity_of_a_pendulum_are_those_it_was_made_with():
     assert fit.inertia == pytest.approx(0.02, rel=0.02)
     assert fit.gravity_torque == pytest.approx(0.5, rel=0.02)
     assert fit.offset == pytest.approx(-1.2, abs=0.02)
-    assert fit.constant == 0.0
+    assert fit.constant == fit.per_load == 0.0
 
 
 def test_gravity_is_not_made_up_where_there_is_none():
@@ -86,6 +89,19 @@ def test_a_ripple_of_the_gear_is_found_and_friction_is_not_bent_by_it():
     steady = found.robot.friction.forward
     assert steady.coulomb[0] == pytest.approx(0.06, rel=0.05)
     assert steady.viscous[0] == pytest.approx(0.01, rel=0.3)
+
+
+def test_friction_that_grows_with_the_load_is_found_and_stands_beside_the_rest():
+    take = pendulum(per_load=0.15)
+    found = identify([(take, ())], rigid_joints(take.joints), options=ALL)
+    load, = found.robot.effects
+    assert load.name == 'load_friction' and load.values[0] == pytest.approx(0.15, rel=0.1)
+    grown = {row.name: row for row in found.joints[0].estimates}['friction.swing.per_load']
+    assert grown.value == pytest.approx(0.15, rel=0.05)
+    for steady in (found.robot.friction.forward, found.robot.friction.backward):
+        assert steady.coulomb[0] == pytest.approx(0.06, rel=0.1)
+    left = unexplained(motion_of(take, found.robot), plant.constants_of(found.robot))
+    assert np.std(left) < 0.1 * np.std(take.tau_motor)
 
 
 def test_a_ripple_of_a_robot_that_is_described_is_told():

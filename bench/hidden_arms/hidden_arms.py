@@ -106,7 +106,7 @@ def hidden_of(robot: RobotParams, rng: np.random.Generator) -> Hidden:
         'stiffness_error': {'ratio': sign * float(rng.uniform(0.1, 0.25))},
         'coulomb_error': {'ratio': sign * size}, 'viscous_error': {'ratio': sign * size},
         'position_friction': {'ratio': size, 'order': order, 'phase': phase},
-        'load_friction': {'ratio': size, 'load': 5.0 * level},
+        'load_friction': {'ratio': size / 5.0, 'reach': 1e-3},
         'torque_ripple': {'amplitude': size * level, 'order': 4.0 * order, 'phase': phase},
         'torque_gain': {'gain_error': sign * float(rng.uniform(0.06, 0.2))},
         'constant_link_torque': {'bias': sign * size * level},

@@ -225,6 +225,7 @@ class _Acting:
 
     def __init__(self, hidden, robot, disturbance):
         self._effects = [(one.name, one.at(robot), one.values) for one in hidden]
+        self._level = robot.friction.forward.coulomb
         self._disturbance, self._held, self._outside = disturbance, [], np.zeros(PARAMETERS)
         if disturbance:
             self._outside[:len(disturbance.values)] = disturbance.values
@@ -263,7 +264,7 @@ class _Acting:
             if name == 'position_friction':
                 tau[j] *= 1.0 + p['ratio'] * np.cos(p['order'] * angle[j] + p['phase'])
             elif name == 'load_friction':
-                tau[j] *= 1.0 + p['ratio'] * abs(carried[j]) / p['load']
+                tau[j] *= 1.0 + p['ratio'] * abs(carried[j]) / self._level[j]
         return tau
 
     def on_link(self, rate):

@@ -34,7 +34,7 @@ RELATIVES = (
     {'kinematic_error', 'torque_ripple', 'link_encoder_eccentricity'},
     {'spring_hysteresis', 'presliding_error', 'motor_coulomb', 'actuator_deadzone'},
 )
-_UNIT = {'load_friction': 'load', 'friction_drift': 'duration', 'stiffness_drift': 'duration'}
+_UNIT = {'friction_drift': 'duration', 'stiffness_drift': 'duration'}
 
 
 def ranked(findings):

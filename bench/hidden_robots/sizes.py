@@ -16,6 +16,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 _GRAVITY = 9.81
+REACH = 1e-3  # over which friction by load changes its direction [rad]
 _OVER = 0.06  # time over which torque is averaged: quicker it hardly moves an arm [s]
 
 
@@ -124,8 +125,8 @@ MAIN = {
     'friction_asymmetry': lambda r, k: {'ratio': either(r, 0.04, 0.25)},
     'position_friction': lambda r, k: {'ratio': between(r, 0.05, 0.35),
                                        'order': float(r.integers(1, 6)), 'phase': angle(r)},
-    'load_friction': lambda r, k: {'ratio': between(r, 0.02, 0.15),
-                                   'load': k.stiffness * k.torsion},
+    'load_friction': lambda r, k: {
+        'ratio': between(r, 0.02, 0.15) * k.static / (k.stiffness * k.torsion), 'reach': REACH},
     'friction_drift': lambda r, k: {'ratio': either(r, 0.1, 0.5), 'duration': k.duration},
     'quadratic_drag': lambda r, k: {'drag': between(r, 8e-3, 8e-2)},
     'gravity_tilt': lambda r, k: {'tilt': np.radians(between(r, 0.1, 1.5)),
@@ -169,7 +170,7 @@ SMALL = {
     'friction_asymmetry': lambda r, k, t: {'ratio': either(r, 1, 1) * t / k.static},
     'position_friction': lambda r, k, t: {'ratio': 1.4 * t / k.static,
                                           'order': float(r.integers(1, 6)), 'phase': angle(r)},
-    'load_friction': lambda r, k, t: {'ratio': t / k.static, 'load': k.stiffness * k.torsion},
+    'load_friction': lambda r, k, t: {'ratio': t / (k.stiffness * k.torsion), 'reach': REACH},
     'friction_drift': lambda r, k, t: {'ratio': either(r, 1, 1) * 1.7 * t / k.static,
                                        'duration': k.duration},
     'quadratic_drag': lambda r, k, t: {'drag': t / k.speed_squared},

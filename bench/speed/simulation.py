@@ -22,7 +22,7 @@ PERIOD = PERIOD_NS / 1e9
 # name and values of the effects that are added, in this order, to joints in turn
 EFFECTS = (
     ('spring_cubic', (2.0,)), ('torque_ripple', (0.01, 7.0, 0.0)), ('motor_coulomb', (0.01,)),
-    ('motor_viscous', (0.01,)), ('load_friction', (0.1, 1.0)), ('quadratic_drag', (0.01,)),
+    ('motor_viscous', (0.01,)), ('load_friction', (0.1, 1e-3)), ('quadratic_drag', (0.01,)),
     ('backlash', (1e-4,)), ('kinematic_error', (1e-4, 0.0)), ('actuator_lag', (1e-3,)),
     ('spring_damping', (0.01,)))
 

@@ -138,16 +138,19 @@ def residuals_along(states, second, friction, bias, inertial, carried, drive, re
     """
     s, links, effects = work.signals, constants.chain, constants.effects
     samples, n = drive.shape
+    last_friction = work.friction  # with what effects make of it
+    last_friction[:] = friction[0]
     for k in range(samples):
         plant.take_place(k, states, drive[k], time[k], state, work)
         plant.springs(state, period, constants, work)
         for j in range(n):
             s[j, sig.FRICTION] = friction[k, j]
             if not links.flexible[j]:  # not as measured: that would explain torque by torque
-                s[j, sig.SPRING] = carried[k, j] + bias[k, j] + friction[k, j]
+                s[j, sig.SPRING] = carried[k, j] + bias[k, j] + last_friction[j]
         for stage in (_FRICTION, _LINK, _MOTOR):
             effect_table.run_stage(stage, s, state.memory, period, effects)
         for j in range(n):
+            last_friction[j] = s[j, sig.FRICTION]
             out[k, j] = s[j, sig.LINK_TORQUE] - s[j, sig.FRICTION] - bias[k, j]
             if links.flexible[j]:
                 out[k, j] += s[j, sig.SPRING]

@@ -46,9 +46,7 @@ def difference_estimates(found: Differences, joints: Sequence[str], sources: Seq
         if found.prior_sd[j] > 0.0:
             rows[j].append(scale_estimate(found, j, joint))
         if found.loaded[j] > 0.0:
-            rows[j].append(estimated(
-                f'friction.{joint}.per_load', '1', found.loaded[j], found.loaded_sd[j],
-                'friction grows by this share of the torque that moves the link'))
+            rows[j].append(load_estimate(joint, found.loaded[j], found.loaded_sd[j]))
         rows[j] += [estimated(f'friction.{joint}.at_{label}', '1', found.level[k, j], None,
                               f'friction at {label!r} over that at {found.labels[0]!r}')
                     for k, label in enumerate(found.labels[1:], 1)]
@@ -62,6 +60,12 @@ def difference_estimates(found: Differences, joints: Sequence[str], sources: Seq
     for r, load in found.loads.items():
         rows[-1] += load_estimates(load, f'recordings.{r + 1}.load', sources[r])
     return [tuple(part) for part in rows]
+
+
+def load_estimate(joint: str, per_load: float, error: float | None) -> Estimate:
+    """Return the Estimate of friction that grows with the torque carried."""
+    return estimated(f'friction.{joint}.per_load', '1', per_load, error,
+                     'friction grows by this share of the torque that moves the link')
 
 
 def coupled_estimates(coupled: Coupled, m: int, joints: Sequence[str]) -> list:

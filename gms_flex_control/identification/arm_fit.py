@@ -16,6 +16,7 @@ from typing import NamedTuple
 from gms_flex_control.effects.catalogue.link import ConstantLinkTorque
 from gms_flex_control.identification.arm_differences import Differences
 from gms_flex_control.identification.arm_estimates import base_estimates as spatial_estimates
+from gms_flex_control.identification.arm_estimates import load_estimate
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.axis_fit import (
     fit_axis_with_ripple,
@@ -35,7 +36,7 @@ from gms_flex_control.identification.base_parameters import (
     nearest_arm,
 )
 from gms_flex_control.identification.outcome import CONFIDENT, estimated
-from gms_flex_control.identification.segments import filled
+from gms_flex_control.identification.segments import filled, friction_by_load, Segment
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 import numpy as np
@@ -69,8 +70,17 @@ class ArmFit(NamedTuple):
     friction: tuple  # per joint its usual friction [N m], None where not looked for
     shares: tuple    # per joint the torque of its inertia, of the whole
     ripples: tuple   # per joint its Ripple, None where there is none
+    loaded: np.ndarray  # (n,), friction per torque carried, 0 where it does not grow
     final: tuple = ()  # per joint its Estimates, where no correction is fitted along with friction
     differences: Differences | None = None  # between recordings, of an arm in space
+
+    def cleared(self, segment: Segment) -> Segment:
+        """Return a segment without the constant torque and the friction that grows with load."""
+        arm = self.robot.arm
+        carried = segment.torque - arm.rigid * arm.motor_inertia * segment.acceleration
+        grown = friction_by_load(segment, carried, self.loaded)
+        return replace(segment, torque=segment.torque - grown - self.constant,
+                       constant=self.constant)
 
     def extras(self) -> tuple[Callable | None, ...]:
         """Return per joint a function Segment -> further torques (T, R) per correction."""
@@ -137,7 +147,8 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     return ArmFit(replace(robot, arm=arm, effects=robot.effects + effects), motors,
                   tuple(numbers), tuple(units), tuple(axis.has_gravity for axis in axes),
                   constant, tuple(axis.friction for axis in axes),
-                  tuple(axis.share for axis in axes), tuple(ripples))
+                  tuple(axis.share for axis in axes), tuple(ripples),
+                  np.array([axis.per_load for axis in axes]))
 
 
 def _chain(recordings, robot, drives, motors):
@@ -147,7 +158,7 @@ def _chain(recordings, robot, drives, motors):
     numbers = tuple(_acting(n, j, gravity) for j in range(n))
     return ArmFit(replace(robot, arm=arm), motors, numbers,
                   tuple(units[chosen] for chosen in numbers), (gravity,) * n, np.zeros(n),
-                  (None,) * n, (1.0,) * n, (None,) * n)
+                  (None,) * n, (1.0,) * n, (None,) * n, np.zeros(n))
 
 
 def _in_space(recordings, robot, motors):
@@ -161,7 +172,8 @@ def _in_space(recordings, robot, motors):
     if not fit.differences.prior_sd.any():
         rows[0] += (_SCALE,)
     return ArmFit(replace(robot, arm=fit.arm), motors, nothing, (np.zeros(0),) * n, (True,) * n,
-                  np.zeros(n), (None,) * n, (1.0,) * n, (None,) * n, tuple(rows), fit.differences)
+                  np.zeros(n), (None,) * n, (1.0,) * n, (None,) * n, np.zeros(n), tuple(rows),
+                  fit.differences)
 
 
 def _acting(n, joint, gravity):
@@ -354,6 +366,8 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
                            'taken off the torque before friction was fitted'),
                  estimated(f'{of_ripple}.order', '1', ripple.order, ripple.order_error,
                            'periods in 2 pi of the angle')]
+    if arm_fit.loaded[joint]:
+        rows.append(load_estimate(robot.joints[joint], arm_fit.loaded[joint], None))
     if 1 not in numbers and robot.arm.axes == 'rotary':
         rows.append(estimated(f'{name}.gravity_torque', 'N m', 0.0, None, 'no gravity is seen in '
                               'this motion: it does not lower the error on data held out', False))

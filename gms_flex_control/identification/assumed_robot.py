@@ -21,11 +21,13 @@ from gms_flex_control.data.signal_analysis import derivatives
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Change, Stage
+from gms_flex_control.effects.catalogue.friction_shape import LoadFriction
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.key import of_joints
 from gms_flex_control.params.robot import (
+    EffectSpec,
     EncoderParams,
     FrictionParams,
     RobotParams,
@@ -56,6 +58,24 @@ def rigid_joints(names: Sequence[str]) -> RobotParams:
                       motor_inertia=zero, stiffness=np.full(n, np.inf), damping=zero),
         friction=FrictionParams(forward=steady, backward=steady, stiffness=np.full((n, 1), 100.0),
                                 weight=np.ones((n, 1)), attraction=one))
+
+
+def with_load_friction(robot: RobotParams, per_load: np.ndarray,
+                       step: np.ndarray) -> RobotParams:
+    """
+    Return a robot whose friction grows by ``per_load`` (n,) of the torque carried.
+
+    It changes its direction as the softest block does, but over two of an encoder's ``step`` (n,)
+    at least: a stiffer one would chatter.
+    """
+    friction = robot.friction
+    level = 0.5 * (friction.forward.static + friction.backward.static)[:, None] * friction.weight
+    slips = np.divide(level, friction.stiffness, out=np.zeros_like(level),
+                      where=friction.stiffness > 0.0).max(axis=1)
+    return replace(robot, effects=robot.effects + tuple(
+        EffectSpec(name=LoadFriction.name, joint=joint, values=(float(ratio), float(reach)))
+        for joint, ratio, reach in zip(robot.joints, per_load, np.maximum(slips, 2.0 * step),
+                                       strict=True) if ratio))
 
 
 def only_joints(robot: RobotParams, joints: Sequence[str]) -> RobotParams:

@@ -11,6 +11,9 @@ speed, so that the rise at low speed does not end up in inertia or gravity. A co
 looks like friction that differs between the directions, and stays with it, unless friction would
 then have to be several times larger one way than the other.
 
+Friction that grows with the torque carried has a column as well where gravity acts: weight loads
+the transmission at all speeds, so that it is neither viscous friction nor inertia.
+
 A ripple, a torque periodic in the angle as gears, screws and motors make, is no friction, but
 where it is as large as what separates presliding from the Stribeck curve it replaces both. So it
 is looked for with the inertia, before friction is fitted.
@@ -49,10 +52,12 @@ _CLEAR = 0.5       # of the held-out error: gravity must help this much there
 _WORTH = 0.97      # of the held-out error: gravity or a ripple that helps less is not there
 _CONSTANT = 1e-6   # of a torque: rounding
 _LOPSIDED = 0.5    # of the friction the other way: below this there is a constant torque
-_LEAST = 0.02      # of the torque: friction to begin with, at least
+_LEAST = 0.02      # of the torque: friction to begin with, and friction by load, at least
 _RIPPLE_CLEAR = 3.0   # standard errors: a ripple below is not there
 _RIPPLE_ROUNDS = 4    # of order and all else in turn
 _ABOUT = 0.5       # of a wave over the range of angles: how far an order is looked for
+_PLACES = (1, 2)   # orders of friction that varies with the angle, beside friction by load
+_LOADINGS = 3      # rounds of the torque carried and what friction it makes
 _EXPLAINED = 0.9   # of the torque's variance, for stiffness and motor inertia to be believed
 _SMALLEST = 0.005  # of the torque: a smaller part may be what the model lacks
 
@@ -85,6 +90,7 @@ class AxisFit(NamedTuple):
     wave: np.ndarray       # (2,), needed torque per sine and cosine of a ripple [N m]
     wave_error: float      # standard error of its amplitude [N m]
     off: float             # robust error on data held out [N m]
+    per_load: float        # friction per torque carried, 0 where it does not grow
 
     @property
     def gravity_torque(self) -> float:
@@ -199,30 +205,58 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     enough = _WORTH if np.ptp(rows.angle) > _NARROW else _CLEAR
     with_gravity, off = _held_out(both, rows), _held_out(others, rows)
     has_gravity = turns and with_gravity < enough * off
-    columns = both if has_gravity else others
+    columns, off = (both, with_gravity) if has_gravity else (others, off)
+    plain = columns.shape[1]
+    if has_gravity:
+        columns, off = _with_load(columns, rows, off)
     values, error = _solution(columns, rows)
     known = values[0] > CONFIDENT * error[0]
     if not known:  # what is no inertia must not bend the rest
         kept, wide = _solution(columns[:, 1:], rows)
         values, error = np.append(0.0, kept), np.append(error[0], wide)
     rest = rows.torque - columns @ values
-    wave = slice(columns.shape[1] - wave.shape[1], None)
+    wave = slice(plain - wave.shape[1], plain)
     left, rippling = np.zeros((2, len(moving)))
     left[moving], rippling[moving] = rest, columns[:, wave] @ values[wave]
     found = np.zeros((2, 4))
     count = 3 if has_gravity else 1
     found[:, :count] = values[:count], error[:count]
     friction = columns[:, count:wave.start] @ values[count:wave.start]
-    levels = _levels(friction, rows.rate)
+    grown = columns[:, plain:] @ values[plain:]
+    levels = _levels(friction + grown, rows.rate)
     both_ways = np.ptp(np.sign(rows.rate)) > 0.0
-    if both_ways and min(levels) < _LOPSIDED * max(levels):
-        found[:, 3] = 0.5 * (levels[0] - levels[1]), error[count]
-    level = max(sum(levels) / (1.0 + both_ways), _LEAST * float(np.std(rows.torque)))
+    constant = 0.5 * (levels[0] - levels[1])
+    if both_ways and min(levels) < _LOPSIDED * max(levels) \
+            and abs(constant) > CONFIDENT * error[count]:
+        found[:, 3] = constant, error[count]
+    level = max(sum(_levels(friction, rows.rate)) / (1.0 + both_ways), _LEAST * float(np.std(rows.torque)))
     return AxisFit(*map(float, found[0]), level, found[1], bool(has_gravity),
                    float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(known),
                    float(values[0] * np.std(rows.acceleration) / (np.std(rows.torque) or 1.0)),
-                   left, rippling, values[wave], float(np.sqrt(np.sum(error[wave] ** 2))),
-                   with_gravity if has_gravity else off)
+                   left, rippling, values[wave], float(np.sqrt(np.sum(error[wave] ** 2))), off,
+                   float(values[plain:].sum()))
+
+
+def _with_load(columns, rows, off):
+    """
+    Return the columns and their held-out error, with that of friction by load if it is there.
+
+    What is carried is the torque that the columns explain, not the measured one, whose noise
+    would explain itself. Friction that varies with the angle must predict worse: under gravity
+    both change together.
+    """
+    carried, count = columns @ _solution(columns, rows)[0], columns.shape[1]
+    for _ in range(_LOADINGS):
+        grown = np.column_stack([columns, np.abs(carried) * np.sign(rows.rate)])
+        values, error = _solution(grown, rows)
+        carried = grown @ values
+    if values[count] < max(CONFIDENT * error[count], _LEAST):
+        return columns, off
+    with_load = _held_out(grown, rows)
+    placed = np.sign(rows.rate) * np.array([
+        wave(order * rows.angle) for order in _PLACES for wave in (np.cos, np.sin)])
+    rival = _held_out(np.column_stack([columns, placed.T]), rows)
+    return (grown, with_load) if with_load < min(_WORTH * off, rival) else (columns, off)
 
 
 def _levels(friction, rate):

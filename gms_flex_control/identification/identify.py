@@ -15,7 +15,11 @@ from gms_flex_control.friction import steady_friction
 from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.arm_regression import fit_differences
-from gms_flex_control.identification.assumed_robot import believed_model, cleared
+from gms_flex_control.identification.assumed_robot import (
+    believed_model,
+    cleared,
+    with_load_friction,
+)
 from gms_flex_control.identification.contest import choose_fit, simple_theta
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS, STATICS
 from gms_flex_control.identification.friction_map import friction_map, repeatability, start_of
@@ -121,7 +125,9 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
         say('intervals and errors on data held out')
         joints, arm = data.results(fits)
     return Identification(
-        robot=replace(arm if whole else robot, friction=_friction_params(fits)),
+        robot=with_load_friction(replace(arm if whole else robot,
+                                         friction=_friction_params(fits)), data.per_load,
+                                 data.step),
         believed=robot,
         joints=joints, sources=tuple(take.source for take, _ in takes),
         holdouts=tuple(take.source for take, _ in holdouts),
@@ -175,8 +181,7 @@ class Data:
         parts, self.robot = one_by_one(parts, self.robot, loads,
                                        self.differences and self.differences.loaded)
         if whole:
-            parts = [[replace(one, torque=one.torque - self.arm_fit.constant,
-                              constant=self.arm_fit.constant) for one in part] for part in parts]
+            parts = [[self.arm_fit.cleared(one) for one in part] for part in parts]
         segments = numbered([one for part in parts[:len(takes)] for one in part], period)
         self._apart = [one for part in parts[len(takes):] for one in part]
         arm = self.robot.arm
@@ -192,6 +197,12 @@ class Data:
             self.arm_fit.extras() if whole else (None,) * robot.n_joints)
         self.choices = ()
         self._sources = [take.source for take, _ in takes]
+
+    @property
+    def per_load(self) -> np.ndarray:
+        """Return the friction per torque carried (n,), 0 where it does not grow."""
+        per_load = self.arm_fit.loaded if self.arm_fit else np.zeros(self.robot.n_joints)
+        return per_load + (self.differences.loaded if self.differences else 0.0)
 
     def fit(self, options, say) -> list:
         """Return a JointFit per joint."""

@@ -210,8 +210,7 @@ def one_by_one(pieces: list, robot: RobotParams, loads: Sequence = (),
                                   carrying(arm, load))
         taken = torque - inertia * piece.acceleration
         if per_load is not None:
-            slow = _TURNING * np.sqrt(np.mean(piece.rate ** 2, axis=0)) + 1e-300
-            taken += per_load * np.abs(torque) * np.tanh(piece.rate / slow)
+            taken += friction_by_load(piece, torque, per_load)
         taken[:-1] = 0.5 * (taken[1:] + taken[:-1])  # a mean of the sample, as the drive is
         return replace(piece, torque=piece.torque - taken)
 
@@ -222,6 +221,12 @@ def one_by_one(pieces: list, robot: RobotParams, loads: Sequence = (),
                      damping=arm.damping)
     return [[alone(piece, load) for piece in part] for part, load in zip_longest(
         pieces, loads[:len(pieces)])], replace(robot, arm=axes)
+
+
+def friction_by_load(segment: Segment, carried: np.ndarray, per_load: np.ndarray) -> np.ndarray:
+    """Return friction (T, n) [N m] that is ``per_load`` (n,) of the torque ``carried`` (T, n)."""
+    slow = _TURNING * np.sqrt(np.mean(segment.rate ** 2, axis=0)) + 1e-300
+    return per_load * np.abs(carried) * np.tanh(segment.rate / slow)
 
 
 def torque_at_samples(segment: Segment) -> np.ndarray:

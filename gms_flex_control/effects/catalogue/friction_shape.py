@@ -41,9 +41,12 @@ class PositionFriction(Term):
         s[FRICTION] *= 1.0 + p[0] * np.cos(p[1] * s[Q_LINK] + p[2])
 
 
+_FINE = 1e-3  # of the range of angles: least reach of a guess
+
+
 class LoadFriction(Term):
     """
-    F -> F (1 + ratio abs(s) / load).
+    F -> F + ratio abs(s) z, where z from -1 to 1 follows the link over the reach.
 
     s is what the transmission carries: weight, inertia and friction of the link. Along a recording
     it follows from the motion where the joint is rigid: torque explains no torque.
@@ -52,19 +55,29 @@ class LoadFriction(Term):
     name = 'load_friction'
     words = 'Friction that grows with the torque carried'
     stage = Stage.FRICTION
+    memory_size = 3           # angle before, whether there is one, z
     evidence = 'torsion'
     discriminated_by = 'the same motion under another load'
     fed_forward = True
     parameters = (
-        Parameter('ratio', '1', 'relative growth at the load', lower=0.0, relative=True,
-                  typical=0.2),
-        Parameter('load', 'N m', 'torque at which it is reached', lower=0.0, fixed=True))
-    guesses = staticmethod(lambda s: linear(0.1, s.spring, positive=True))
+        Parameter('ratio', '1', 'friction per torque carried', lower=0.0, upper=1.0,
+                  typical=0.1),
+        Parameter('reach', 'rad', 'displacement over which it changes its direction', lower=0.0,
+                  fixed=True))
+
+    @staticmethod
+    def guesses(scales) -> list:
+        blocks = scales.presliding if np.isfinite(scales.presliding) else 0.0
+        reach = max(blocks, scales.count, _FINE * scales.travel.span)
+        return linear(0.05, reach, positive=True) if reach > 0.0 else []
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
+        moved = (s[Q_LINK] - memory[0]) * memory[1]
+        memory[0], memory[1] = s[Q_LINK], 1.0
         if p[1] > 0.0:
-            s[FRICTION] *= 1.0 + p[0] * abs(s[SPRING]) / p[1]
+            memory[2] = min(max(memory[2] + moved / p[1], -1.0), 1.0)
+            s[FRICTION] += p[0] * abs(s[SPRING]) * memory[2]
 
 
 class LowSpeedFriction(Term):
