@@ -41,7 +41,8 @@ def outcome(kind='single', hidden=(), findings=(), verdict='effects_found', seed
     ([finding('backlash', 'joint2')], 'effects_found', 'wrong'),
     ([finding('spring_cubic'), finding('backlash')], 'effects_found', 'wrong'),
     ([finding('spring_cubic', main=False), finding('backlash')], 'effects_found', 'right'),
-    ([finding('spring_cubic', alike=[['backlash', 'joint1']])], 'effects_found', 'indistinguishable'),
+    ([finding('spring_cubic', alike=[['backlash', 'joint1']])], 'effects_found',
+     'indistinguishable'),
     ([], 'unexplained', 'unexplained'), ([], 'complete', 'nothing'), ([], 'bad_data', 'fault')])
 def test_the_first_name_is_judged_by_effect_and_joint(findings, verdict, expected):
     """A large finding counts before a small one, wherever it stands in the list."""

@@ -229,7 +229,8 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     if both_ways and min(levels) < _LOPSIDED * max(levels) \
             and abs(constant) > CONFIDENT * error[count]:
         found[:, 3] = constant, error[count]
-    level = max(sum(_levels(friction, rows.rate)) / (1.0 + both_ways), _LEAST * float(np.std(rows.torque)))
+    level = max(sum(_levels(friction, rows.rate)) / (1.0 + both_ways),
+                _LEAST * float(np.std(rows.torque)))
     return AxisFit(*map(float, found[0]), level, found[1], bool(has_gravity),
                    float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(known),
                    float(values[0] * np.std(rows.acceleration) / (np.std(rows.torque) or 1.0)),
