@@ -185,9 +185,8 @@ class _Contest:
         Its one block is as stiff as suits torque and free motion together: too soft it lags
         behind a reversal, too stiff for the samples it chatters.
         """
-        tried = [simple_free(coulomb_viscous(self._objective, self._bundle, self._step,
-                                             look.fitted, alike), factor * self._step)
-                 for alike in (True, False) for factor in _YIELDS]
+        plain = coulomb_viscous(self._objective, self._bundle, self._step, look.fitted)
+        tried = [simple_free(plain, factor * self._step) for factor in _YIELDS]
         found = [np.nanprod(self._errors([look], [pair])) for pair in tried]
         return tried[int(np.argmin(found))]
 

@@ -19,7 +19,6 @@ from gms_flex_control.identification.objective import Bundle, Objective
 from gms_flex_control.identification.outcome import HeldOut, Loop, Trace
 from gms_flex_control.identification.segments import moving, smooth_angle, standing
 import numpy as np
-from scipy.optimize import lsq_linear
 
 HORIZON = 0.5       # of a free simulation [s]
 PRESLIDING = 'presliding'
@@ -45,11 +44,9 @@ def _model_friction(objective, segment, theta, period):
 
 
 def coulomb_viscous(objective: Objective, bundle: Bundle, step: float,
-                    chosen: Callable, alike: bool) -> np.ndarray:
+                    chosen: Callable) -> np.ndarray:
     """
-    Fit Coulomb and viscous friction alone, none below zero, by least squares.
-
-    Both directions are ``alike`` or each has its own.
+    Fit Coulomb and viscous friction alone, each direction its own, by least squares.
 
     Returns Coulomb forward and backward [N m], viscous forward and backward [N m s/rad], and the
     R coefficients of further torques (4 + R,), from the ``chosen`` samples, Segment -> bool (T,),
@@ -65,16 +62,7 @@ def coulomb_viscous(objective: Objective, bundle: Bundle, step: float,
         rows.append(low_pass(columns, segment.window)[keep])
         targets.append(low_pass(friction_torque(segment, bundle.arm)[:, joint],
                                 segment.window)[keep])
-    columns, target = np.concatenate(rows), np.concatenate(targets)
-    if alike:
-        columns = np.column_stack([columns[:, 0:2].sum(axis=1), columns[:, 2:4].sum(axis=1),
-                                   columns[:, 4:]])
-    own, size = 2 if alike else 4, columns.shape[1]
-    least = np.where(np.arange(size) < own, 0.0, -np.inf)
-    scale = np.linalg.norm(columns, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    found = lsq_linear(columns / scale, target, (least, np.inf)).x / scale
-    return np.concatenate([np.repeat(found[:2], 2), found[2:]]) if alike else found
+    return np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
 
 
 def simple_free(fit: np.ndarray, displacement: float) -> tuple[Coordinates, np.ndarray]:

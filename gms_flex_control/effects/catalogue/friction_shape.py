@@ -41,7 +41,8 @@ class PositionFriction(Term):
         s[FRICTION] *= 1.0 + p[0] * np.cos(p[1] * s[Q_LINK] + p[2])
 
 
-_FINE = 1e-3  # of the range of angles: least reach of a guess
+_FINE = 1e-3   # of the range of angles: least reach of a guess
+_LOADED = 2.0  # of friction: what a rigid joint carries beyond it, for it to be a load
 
 
 class LoadFriction(Term):
@@ -67,6 +68,8 @@ class LoadFriction(Term):
 
     @staticmethod
     def guesses(scales) -> list:
+        if scales.rigid and scales.spring < _LOADED * scales.friction:
+            return []  # it carries its own friction
         blocks = scales.presliding if np.isfinite(scales.presliding) else 0.0
         reach = max(blocks, scales.count, _FINE * scales.travel.span)
         return linear(0.05, reach, positive=True) if reach > 0.0 else []
