@@ -104,14 +104,6 @@ def test_friction_that_grows_with_the_load_is_found_and_stands_beside_the_rest()
     assert np.std(left) < 0.1 * np.std(take.tau_motor)
 
 
-def test_a_ripple_of_a_robot_that_is_described_is_told():
-    model = identify([(pendulum(), ())], rigid_joints(pendulum().joints), options=ALL).robot
-    for take, told in ((pendulum(seed=1, ripple=(0.03, 40.0, 0.6)), True),
-                       (pendulum(seed=1), False)):
-        warned = identify([(take, ())], model, options=Options(blocks=(1,))).joints[0].warnings
-        assert any('about 0.028 N m, 40 periods' in sentence for sentence in warned) == told
-
-
 def test_no_ripple_is_made_up_where_there_is_none():
     take = pendulum()
     arm_fit = estimate_arm([take], rigid_joints(take.joints))
