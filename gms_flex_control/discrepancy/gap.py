@@ -20,6 +20,7 @@ from gms_flex_control.discrepancy.residuals import (
 )
 from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.thresholds import INERTIAL
+from gms_flex_control.discrepancy.torque_noise import drawn_noise
 from gms_flex_control.discrepancy.validation import FOLDS, steps
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.errors import SimulationError
@@ -181,7 +182,8 @@ def _torque(likelihood, parts, motions=None):
         for m, (residual, mask) in enumerate(zip(residuals, masks, strict=True)):
             whitening = likelihood.whitenings[m]
             if motions:
-                residual = residual + likelihood.torque_noise(m, np.random.default_rng(_SEED))
+                residual = residual + drawn_noise(
+                    likelihood, m, np.random.default_rng(_SEED))
             rows, still = whitening.torque_rows(residual), likelihood.groups.at_rest[m]
             link, motor = rows[:, :n], rows[:, n:]
             for side, where in enumerate((~still & mask[:, None], still & mask[:, None])):

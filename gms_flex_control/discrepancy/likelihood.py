@@ -28,11 +28,13 @@ from gms_flex_control.discrepancy.nuisance import (
 from gms_flex_control.discrepancy.null_simulation import (
     EncoderNoise,
     NUISANCE_STEP,
+    null_readings,
     null_simulation,
     NullRuns,
 )
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
+from gms_flex_control.discrepancy.torque_noise import drawn_noise
 from gms_flex_control.discrepancy.whitening import (
     Band,
     Groups,
@@ -135,11 +137,6 @@ class Likelihood:
         return len(self.robot.effects)
 
     @property
-    def null_pair(self) -> tuple:
-        """Return two null simulations of one motion, a list of Motion each."""
-        return self._null.pair
-
-    @property
     def coulomb(self) -> np.ndarray:
         """Return Coulomb friction (n,), the mean of both directions [N m]."""
         friction = self.robot.friction
@@ -150,10 +147,10 @@ class Likelihood:
     def _simulate(self, robot, x):
         """Make the null simulations of a model, without torque noise, and whiten by them."""
         constants = self.constants(robot, x)
+        readings = [null_readings(motion, constants) for motion in self.motions]
 
         def run(k):
-            made = [null_simulation(motion, constants, np.random.default_rng([self.seed, k]))
-                    for motion in self.motions]
+            made = [read(np.random.default_rng([self.seed, k])) for read in readings]
             return made if k < 2 else None, [unexplained(motion, constants) for motion in made]
         runs, clean = zip(*self.pool.map(run, range(_NULL_RUNS)), strict=True)
         bands = [Band(len(motion.time), motion.period, motion.known) for motion in self.motions]
@@ -162,7 +159,7 @@ class Likelihood:
         def stepped(step):
             return [[band.spectra(residual) for band, residual in zip(
                 bands, self.residuals(run, robot, x + step), strict=True)] for run in runs[:2]]
-        self._null = NullRuns(robot, x, clean, runs[:2], list(self.pool.map(stepped, steps)))
+        self.null = NullRuns(robot, x, clean, runs[:2], list(self.pool.map(stepped, steps)))
         self._whiten(np.zeros((len(self.motions), 2 * robot.n_joints)))
 
     def simulated_as(self, model) -> Self:
@@ -180,8 +177,8 @@ class Likelihood:
     def _whiten(self, noise):
         """Whiten by the null simulations, with torque noise (M, 2 n) in them."""
         self.noise, floor = noise, PRACTICAL_FLOOR * np.tile(self.coulomb, 2)
-        runs = [[residual + self.torque_noise(m, np.random.default_rng([self.seed, 7, k, m]))
-                 for m, residual in enumerate(run)] for k, run in enumerate(self._null.clean)]
+        runs = [[residual + drawn_noise(self, m, np.random.default_rng([self.seed, 7, k, m]))
+                 for m, residual in enumerate(run)] for k, run in enumerate(self.null.clean)]
         self.whitened = WhitenedRecordings(self.motions, [
             Whitening(np.stack(clean[_NULL_RUNS - _MEASURED_BY:]), motion.period, floor,
                       motion.known)
@@ -193,37 +190,10 @@ class Likelihood:
         self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
         if not self._held_out:
             self.encoder_noise = EncoderNoise(
-                self, self._null.robot, self._null.x,
+                self, self.null.robot, self.null.x,
                 [[self.whitened.rows_of_spectra(run) for run in pair]
-                 for pair in self._null.by_step],
+                 for pair in self.null.by_step],
                 self._cautious)
-
-    def torque_noise(self, m, rng, size=None) -> np.ndarray:
-        """
-        Return the residual torque (S, 2 n) of white torque noise in a recording.
-
-        Where links have no encoder, noise moves the angles that are computed from torques as well.
-        """
-        motion, n = self.motions[m], self.robot.n_joints
-        size = np.broadcast_to(self.noise[m] if size is None else size, 2 * n)
-        drawn = size * rng.standard_normal((len(motion.samples.time), 2 * n))
-        unseen = [link.joint for link in motion.samples.unseen]
-        computed = np.zeros((len(motion.samples.time), n))
-        computed[:, unseen], drawn[:, unseen] = drawn[:, unseen], 0.0
-        return np.concatenate([motion.through_filter(drawn[:, :n]),
-                               motion.through_filter(drawn[:, n:])],
-                              axis=1) + self._moving_links(m, computed)
-
-    def _moving_links(self, m, torque):
-        """Return the residual torque (S, 2 n) of noise (T, n) from which links are computed."""
-        largest = np.max(np.std(torque, axis=0) / self.coulomb)
-        if largest == 0.0:
-            return 0.0
-        # small, so that friction along the links is nearly linear in it
-        share, motion = PRACTICAL_FLOOR / largest, self._null.pair[0][m]
-        constants = self.constants(self._null.robot, self._null.x)
-        return (unexplained(motion.with_torque(motion.samples.command + share * torque), constants)
-                - unexplained(motion, constants)) / share
 
     # --- likelihood --------------------------------------------------------------------------
 
@@ -303,7 +273,7 @@ class Likelihood:
 
     def of_pair(self, robot, x) -> list:
         """Return whitened residuals (R,) of a model along two null simulations of one motion."""
-        return [self.whitened.rows_of(self.residuals(run, robot, x)) for run in self._null.pair]
+        return [self.whitened.rows_of(self.residuals(run, robot, x)) for run in self.null.pair]
 
     def residuals(self, motions, robot, x) -> list:
         """Return residual torques per unit of commanded torque, (S, 2 n) of each motion [N m]."""
@@ -388,16 +358,10 @@ class Likelihood:
     def clean_torque(self) -> np.ndarray:
         """Return what null simulations leave in motion, torque noise too, rms (2 n,) [N m]."""
         squares = [[one ** 2 for one in self.whitened.behind_low_pass([
-            residual + self.torque_noise(m, np.random.default_rng([self.seed, 9, k, m]))
-            for m, residual in enumerate(run)])] for k, run in enumerate(self._null.clean[:2])]
+            residual + drawn_noise(self, m, np.random.default_rng([self.seed, 9, k, m]))
+            for m, residual in enumerate(run)])] for k, run in enumerate(self.null.clean[:2])]
         return np.sqrt(self.whitened.in_motion([
             np.mean(one, axis=0) for one in zip(*squares, strict=True)]))
-
-    def torque_rms(self, one, other) -> float:
-        """Return the rms by which residual torques of two models differ, larger equation."""
-        squares = [(a - b) ** 2 for a, b in zip(self.torque(one), self.torque(other),
-                                                strict=True)]
-        return float(np.sqrt(np.mean(np.concatenate(squares), axis=0)).max())
 
     def scales_of(self, joint) -> Scales:
         """Return the Scales of a joint, those of the first for the whole arm."""

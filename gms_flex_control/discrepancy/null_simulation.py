@@ -15,6 +15,7 @@ light arms. Two null simulations of one motion, not one noise, differ by nothing
 and curvature are cleared of their difference, linear in all parameters.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -75,7 +76,16 @@ def null_simulation(motion, constants, rng) -> Motion:
     Return the Motion that a model makes of a recording, read through encoders like those of it.
 
     ``constants`` are of simulation.plant.constants_of; ``rng`` draws noise, and where within a
-    count the robot stands.
+    count the robot stands. Raises as `null_readings`.
+    """
+    return null_readings(motion, constants)(rng)
+
+
+def null_readings(motion, constants) -> Callable:
+    """
+    Return a function that takes a generator and returns a null simulation, a Motion.
+
+    All of them read the same run.
 
     Raises
     ------
@@ -103,11 +113,15 @@ def null_simulation(motion, constants, rng) -> Motion:
     if not np.all(np.isfinite(readings)):
         raise SimulationError(f'{samples.source}: the model runs away along the recorded motion; '
                               'its inertia, stiffness and friction are not those of this robot')
-    for side in range(2):
-        for j in range(n):
-            readings[:, side, j] = _read(readings[:, side, j], samples.readings[:, side, j],
-                                         samples.noise[side, j], rng)
-    return make_motion(samples.simulated(readings, held, pushed))
+
+    def read(rng):
+        angles = np.empty_like(readings)
+        for side in range(2):
+            for j in range(n):
+                angles[:, side, j] = _read(readings[:, side, j], samples.readings[:, side, j],
+                                           samples.noise[side, j], rng)
+        return make_motion(samples.simulated(angles, held, pushed))
+    return read
 
 
 def _read(angle, like, noise, rng):

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from gms_flex_control.discrepancy import remainder
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.discrepancy.torque_noise import drawn_noise
 from gms_flex_control.effects.registry import find
 import numpy as np
 from scipy.stats import t
@@ -86,7 +87,7 @@ class Along:
             rng = np.random.default_rng([_SEED, m])
             rows.append(whitening.torque_rows(
                 unexplained(null_simulation(motion, constants, rng), constants)
-                + self.likelihood.torque_noise(m, rng)))
+                + drawn_noise(self.likelihood, m, rng)))
         return self._kept(rows)
 
     def variables(self, j) -> dict[str, np.ndarray]:

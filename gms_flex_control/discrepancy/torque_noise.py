@@ -8,6 +8,7 @@ The quietest octave distinguishes the white part: noise shows in every octave, a
 in some.
 """
 
+from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import Noise
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
 import numpy as np
@@ -17,6 +18,36 @@ _DRAWS = 4             # of unit noise
 _OCTAVES_OF_NOISE = 3  # highest ones, of which the quietest shows the white part of noise
 _EVEN = 2.0            # times the white part: noise of more is slow or fast
 _FAST_OCTAVES = 2      # highest ones: above 5 Hz
+
+
+def drawn_noise(likelihood, m, rng, size=None) -> np.ndarray:
+    """
+    Return the residual torque (S, 2 n) of white torque noise in a recording.
+
+    ``size`` (2 n,) per sample, default that of the likelihood. Where links have no encoder, noise
+    moves the angles that are computed from torques as well.
+    """
+    motion, n = likelihood.motions[m], likelihood.robot.n_joints
+    size = np.broadcast_to(likelihood.noise[m] if size is None else size, 2 * n)
+    drawn = size * rng.standard_normal((len(motion.samples.time), 2 * n))
+    unseen = [link.joint for link in motion.samples.unseen]
+    computed = np.zeros((len(motion.samples.time), n))
+    computed[:, unseen], drawn[:, unseen] = drawn[:, unseen], 0.0
+    return np.concatenate([motion.through_filter(drawn[:, :n]),
+                           motion.through_filter(drawn[:, n:])],
+                          axis=1) + _moving_links(likelihood, m, computed)
+
+
+def _moving_links(likelihood, m, torque):
+    """Return the residual torque (S, 2 n) of noise (T, n) from which links are computed."""
+    largest = np.max(np.std(torque, axis=0) / likelihood.coulomb)
+    if largest == 0.0:
+        return 0.0
+    # small, so that friction along the links is nearly linear in it
+    share, motion = PRACTICAL_FLOOR / largest, likelihood.null.pair[0][m]
+    constants = likelihood.constants(likelihood.null.robot, likelihood.null.x)
+    return (unexplained(motion.with_torque(motion.samples.command + share * torque), constants)
+            - unexplained(motion, constants)) / share
 
 
 def white_noise(likelihood, model) -> np.ndarray:
@@ -33,7 +64,7 @@ def white_noise(likelihood, model) -> np.ndarray:
         response = np.zeros(int(mine.sum()))
         for k in range(_DRAWS):
             rng = np.random.default_rng([likelihood.seed, 8, k, m])
-            unit[m] = likelihood.torque_noise(m, rng, 1.0)
+            unit[m] = drawn_noise(likelihood, m, rng, 1.0)
             response += likelihood.whitened.rows_of(unit)[mine] ** 2 / _DRAWS
         for c in range(out.shape[1]):
             excess = []

@@ -85,7 +85,8 @@ def _worth_of(likelihood, found, i):
         gain = gain._replace(nats=min(gain.nats, 0.0))
     rest = state_of(likelihood, anything, others, found.hypotheses)
     evidence = finite(found.best.evidence - rest.evidence)
-    return Worth(i, likelihood.torque_rms(less, model), min(loss / own, 1.0) if own > 0.0 else 0.0,
+    share = min(loss / own, 1.0) if own > 0.0 else 0.0
+    return Worth(i, _torque_rms(likelihood, less, model), share,
                  max(plausible.cost - model.cost, 0.0), evidence,
                  evidence + plausible.cost - anything.cost, gain, plausible, rest)
 
@@ -101,6 +102,13 @@ def _beside(likelihood, model, less, others, change):
     slope = used @ (weight * change)
     own = float(change @ (weight * change))
     return own, max(own - float(slope @ np.linalg.lstsq(gram, slope, rcond=1e-12)[0]), 0.0)
+
+
+def _torque_rms(likelihood, one, other):
+    """Return the rms by which residual torques of two models differ, larger equation."""
+    squares = [(a - b) ** 2 for a, b in zip(likelihood.torque(one), likelihood.torque(other),
+                                            strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(squares), axis=0)).max())
 
 
 def _predicts(likelihood, found, spec, less):
