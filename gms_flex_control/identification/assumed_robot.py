@@ -65,13 +65,13 @@ def with_load_friction(robot: RobotParams, per_load: np.ndarray,
     """
     Return a robot whose friction grows by ``per_load`` (n,) of the torque carried.
 
-    It changes its direction as the softest block does, but over two of an encoder's ``step`` (n,)
+    It changes its direction as the stiffest block does, but over two of an encoder's ``step`` (n,)
     at least: a stiffer one would chatter.
     """
     friction = robot.friction
     level = 0.5 * (friction.forward.static + friction.backward.static)[:, None] * friction.weight
-    slips = np.divide(level, friction.stiffness, out=np.zeros_like(level),
-                      where=friction.stiffness > 0.0).max(axis=1)
+    slips = np.divide(level, friction.stiffness, out=np.full_like(level, np.inf),
+                      where=friction.stiffness > 0.0).min(axis=1)
     return replace(robot, effects=robot.effects + tuple(
         EffectSpec(name=LoadFriction.name, joint=joint, values=(float(ratio), float(reach)))
         for joint, ratio, reach in zip(robot.joints, per_load, np.maximum(slips, 2.0 * step),

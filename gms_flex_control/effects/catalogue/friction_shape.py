@@ -70,8 +70,7 @@ class LoadFriction(Term):
     def guesses(scales) -> list:
         if scales.rigid and scales.spring < _LOADED * scales.friction:
             return []  # it carries its own friction
-        blocks = scales.presliding if np.isfinite(scales.presliding) else 0.0
-        reach = max(blocks, scales.count, _FINE * scales.travel.span)
+        reach = max(scales.count, _FINE * scales.travel.span)
         return linear(0.05, reach, positive=True) if reach > 0.0 else []
 
     @staticmethod
