@@ -107,7 +107,8 @@ def test_a_whole_experiment_is_recorded_with_its_phases(lab):
     lab.until(lambda: 'no fit: the plan leaves out joint1' in node.printed() or not node.runs,
               bound=300.0)
     assert not lab.bag.with_name('bag_identified').exists()
-    assert node.wait() == 0 and traceback_free(node, *lab.others.values())
+    assert node.wait() == 0, node.printed()
+    assert traceback_free(node, *lab.others.values())
     check_recording(lab)
     assert '100 %, done in' in node.printed() and 'estimated' in node.printed()
     assert lab.get('/cascade_controller', 'compensation') == 'gms'
