@@ -13,10 +13,8 @@ import subprocess
 from core_runs import single_axis
 from gms_flex_control import friction as gms
 from gms_flex_control.data import cdr
-from gms_flex_control.data.reader import read_blocks
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import BagWriter
-from gms_flex_control.errors import BagError
 from gms_flex_control.file_io import share_path
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.live import Rows
@@ -122,45 +120,18 @@ def test_blocks_along_a_motion_are_those_of_the_model_stepped_by_hand(robot):
     assert 0.0 < sticking.mean() < 1.0
 
 
-def write_bag(path, blocks=None, late=0, start=5_000_000_000, space=''):
-    """Write 100 joint states, and block messages if given, each ``late`` ns after its state."""
+def write_bag(path, start=5_000_000_000):
+    """Write 100 joint states."""
     stamps = start + 10_000_000 * np.arange(100)
     angle = np.linspace(0.0, 1.0, 100)
-    states = f'{space}/joint_states'
-    types = {states: cdr.JOINT_STATE}
-    types |= dict.fromkeys(blocks or {}, cdr.MULTI_ARRAY)
-    with BagWriter(path, types, atomic=True) as writer:
+    with BagWriter(path, {'/joint_states': cdr.JOINT_STATE}, atomic=True) as writer:
         for k, message in enumerate(cdr.pack_joint_states(
                 ['joint1', 'joint2'], stamps, np.stack([angle, -angle], axis=1))):
-            writer.write(states, int(stamps[k]), message)
-            for topic, values in (blocks or {}).items():
-                writer.write(topic, int(stamps[k]) + late,
-                             cdr.pack_reference(values[k], int(stamps[k]), 'joint'))
+            writer.write('/joint_states', int(stamps[k]), message)
     return path
 
 
-@pytest.mark.parametrize('space', ['', '/left'])
-def test_recorded_blocks_are_found_at_the_state_whose_stamp_they_carry(tmp_path, space):
-    rng = np.random.default_rng(5)
-    torque, sticking = rng.random((100, 2, 4)), rng.integers(0, 2, (100, 2, 4))
-    path = write_bag(tmp_path / 'bag', {
-        f'{space}/cascade_controller/blocks': torque,
-        f'{space}/cascade_controller/sticking': sticking}, late=7_000_000, space=space)
-    found = read_blocks(path, 0.01 * np.arange(100), 5_000_000_000, 2)
-    np.testing.assert_array_equal(found[0], torque)
-    np.testing.assert_array_equal(found[1], sticking)
-    session = open_bag(path).session()
-    assert session['blocks'] == {'count': 4, 'origin': 'observer'}
-    assert any('--robot FILE' in note for note in session['notes'])
-
-
-def test_blocks_that_do_not_fit_the_joints_are_refused(tmp_path):
-    path = write_bag(tmp_path / 'bag', {'/cascade_controller/blocks': np.zeros((100, 1, 5))})
-    with pytest.raises(BagError, match='has 5 numbers, which are no blocks of 2 joints'):
-        open_bag(path)
-
-
-def test_a_bag_without_blocks_takes_those_of_the_robot_file(tmp_path, robot):
+def test_the_blocks_of_a_bag_are_those_of_the_robot_file(tmp_path, robot):
     path = write_bag(tmp_path / 'bag')
     assert open_bag(path).session()['blocks'] == {'count': 0, 'origin': ''}
     for options in ({'robot': robot}, {'default': robot}):

@@ -4,10 +4,12 @@
 """The metadata.yaml of a bag folder, and the message definitions and type hashes of a bag."""
 
 from functools import lru_cache
+from io import StringIO
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
 from gms_flex_control.file_io import read_yaml
+from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 try:  # every module on bags imports this one first
@@ -51,15 +53,24 @@ def definition(type_name) -> Definition:
 LARGEST = 10_000_000  # bytes; a thousand topics take some hundred thousand
 NEVER = 2**63 - 1  # starting time of a bag without messages
 
-_FOREVER = '\n    sec: 9223372036\n    nsec: 854775807'
+_FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 
 
-def qos_profile(reliability='reliable', durability='volatile') -> str:
-    """Return the YAML text of one offered QoS profile, as `ros2 bag record` writes it."""
-    return (f'- history: unknown\n  depth: 0\n  reliability: {reliability}\n'
-            f'  durability: {durability}\n  deadline:{_FOREVER}\n  lifespan:{_FOREVER}\n'
-            f'  liveliness: automatic\n  liveliness_lease_duration:{_FOREVER}\n'
-            '  avoid_ros_namespace_conventions: false')
+def as_yaml(data) -> str:
+    """Return plain data as YAML text."""
+    yaml, text = YAML(), StringIO()
+    yaml.width = LARGEST  # breaks no line
+    yaml.representer.ignore_aliases = lambda _: True
+    yaml.dump(data, text)
+    return text.getvalue()
+
+
+def qos_profile(reliability='reliable', durability='volatile') -> dict:
+    """Return one offered QoS profile, as `ros2 bag record` writes it."""
+    return {'history': 'unknown', 'depth': 0, 'reliability': reliability,
+            'durability': durability, 'deadline': _FOREVER, 'lifespan': _FOREVER,
+            'liveliness': 'automatic', 'liveliness_lease_duration': _FOREVER,
+            'avoid_ros_namespace_conventions': False}
 
 
 class TopicEntry(NamedTuple):
@@ -68,64 +79,32 @@ class TopicEntry(NamedTuple):
     name: str
     type_name: str
     type_hash: str
-    qos: str  # YAML text of the offered profiles
+    qos: dict  # the offered profile
     count: int
 
 
-def render(topics, file_name, start, end, custom=None) -> str:
+def information(topics, file_name, start, end, custom=None) -> dict:
     """
-    Return the metadata of a bag of one mcap file: YAML, below ``rosbag2_bagfile_information``.
+    Return the metadata of a bag of one mcap file, below ``rosbag2_bagfile_information``.
 
     Of its TopicEntries, first and last receive time [ns] (``start`` above ``end`` where there is
     no message) and remarks for the reader (dict of str).
     """
-    topics = list(topics)
     count = sum(topic.count for topic in topics)
-    start, duration = (start, end - start) if count else (NEVER, 0)
-    lines = ['version: 9', 'storage_identifier: mcap', 'duration:',
-             f'  nanoseconds: {duration}', 'starting_time:',
-             f'  nanoseconds_since_epoch: {start}', f'message_count: {count}',
-             'topics_with_message_count:']
-    lines += [line for topic in topics for line in _topic_lines(topic)] or ['  []']
-    lines += ['compression_format: ""', 'compression_mode: ""', 'relative_file_paths:',
-              f'  - {_quoted(file_name)}', 'files:', f'  - path: {_quoted(file_name)}',
-              '    starting_time:', f'      nanoseconds_since_epoch: {start}',
-              '    duration:', f'      nanoseconds: {duration}', f'    message_count: {count}']
-    if custom:
-        lines.append('custom_data:')
-        lines += [f'  {key}: {_quoted(value)}' for key, value in custom.items()]
-    else:
-        lines.append('custom_data: ~')
-    return '\n'.join([*lines, 'ros_distro: jazzy'])
-
-
-def _topic_lines(topic):
-    yield '  - topic_metadata:'
-    yield f'      name: {_quoted(topic.name)}'
-    yield f'      type: {topic.type_name}'
-    yield '      serialization_format: cdr'
-    if topic.qos:
-        yield '      offered_qos_profiles:'
-        for line in topic.qos.splitlines():
-            yield f'        {line}'
-    else:
-        yield '      offered_qos_profiles: []'
-    yield f'      type_description_hash: {topic.type_hash}'
-    yield f'    message_count: {topic.count}'
-
-
-def _quoted(text):
-    plain = str(text).replace('\n', ' ')
-    if plain and all(c.isalnum() or c in '/_-.' for c in plain) and not plain[0].isdigit() \
-            and plain[0] not in '-.':
-        return plain
-    return "'" + plain.replace("'", "''") + "'"
-
-
-def indent_under_root(text) -> str:
-    """Return the whole metadata.yaml for the mapping ``text``."""
-    body = '\n'.join(f'  {line}' for line in text.splitlines())
-    return f'rosbag2_bagfile_information:\n{body}\n'
+    begin, duration = (int(start), int(end - start)) if count else (NEVER, 0)
+    time = {'duration': {'nanoseconds': duration},
+            'starting_time': {'nanoseconds_since_epoch': begin}}
+    return {
+        'version': 9, 'storage_identifier': 'mcap', **time, 'message_count': count,
+        'topics_with_message_count': [{
+            'topic_metadata': {
+                'name': topic.name, 'type': topic.type_name, 'serialization_format': 'cdr',
+                'offered_qos_profiles': [topic.qos], 'type_description_hash': topic.type_hash},
+            'message_count': topic.count} for topic in topics],
+        'compression_format': '', 'compression_mode': '', 'relative_file_paths': [file_name],
+        'files': [{'path': file_name, **dict(reversed(time.items())), 'message_count': count}],
+        'custom_data': custom or None,
+        'ros_distro': 'jazzy'}
 
 
 class FolderMetadata(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 N_DERIVATIVES = 5        # rows of a reference: angle and its derivatives 1 to 4
 _REACH = 1.5             # a reference further away than this many periods is not used
 _SAMPLES = 2**15         # samples that are worked on at once, for the sake of memory
-BLOCK = 4096             # messages of a topic that wait to be decoded together
+_BLOCK = 4096            # messages of a topic that wait to be decoded together
 _TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late message [ns]
 # of the Topics
 _TYPES = (cdr.JOINT_STATE, cdr.MULTI_ARRAY, cdr.MULTI_ARRAY, cdr.JOINT_STATE, cdr.MULTI_ARRAY)
@@ -108,7 +108,7 @@ def _carried_on(table, shift):
     return result
 
 
-def by_stamp(stamps, other_stamps, values) -> np.ndarray:
+def _by_stamp(stamps, other_stamps, values):
     """Return ``values`` (S, n) of ``other_stamps`` (S,) at ``stamps`` (T,), NaN where none."""
     result = np.full((len(stamps), values.shape[1]), np.nan)
     row = _row_of(other_stamps, stamps)
@@ -135,7 +135,7 @@ class Series:
                 times, messages = self._waiting[topic]
                 times.append(log)
                 messages.append(message)
-            self._decode(BLOCK)
+            self._decode(_BLOCK)
         self._decode(1)
         for topic, type_name in zip(self.topics, _TYPES, strict=True):
             if not self._has_type(topic, type_name):
@@ -297,7 +297,7 @@ class Series:
 
     def friction(self, stamps) -> np.ndarray:
         """Return the friction estimate at the states, shape (T, n)."""
-        return by_stamp(stamps, *self._take('controller_state', 'stamps', 'effort'))
+        return _by_stamp(stamps, *self._take('controller_state', 'stamps', 'effort'))
 
     def supply(self, stamps, received) -> np.ndarray:
         """Return the voltage at the states, shape (T,), between two messages a straight line."""

@@ -87,7 +87,7 @@ class BagWriter:
                                 compression=CompressionType.NONE,
                                 enable_crcs=True, enable_data_crcs=True)
             self._mcap.start(profile='ros2')
-            self._mcap.add_metadata('rosbag2', {'serialized_metadata': self._metadata()})
+            self._add_metadata()
             self._stream.flush()
             self._flushed = time.monotonic()
             for name, type_name in self._topics.items():
@@ -100,7 +100,7 @@ class BagWriter:
         """
         Announce a topic and its type; one that is there already stays as it is.
 
-        ``qos`` is the YAML text of the offered profiles; ``save`` writes metadata.yaml anew.
+        ``qos`` is that of `metadata.qos_profile`; ``save`` writes metadata.yaml anew.
         """
         if name in self._channels:
             return
@@ -113,7 +113,8 @@ class BagWriter:
                 type_name, 'ros2msg', described.text.encode())
         number = self._mcap.register_channel(
             name, 'cdr', self._schemas[type_name],
-            {'offered_qos_profiles': qos, 'topic_type_hash': described.type_hash})
+            {'offered_qos_profiles': metadata.as_yaml([qos]),
+             'topic_type_hash': described.type_hash})
         self._channels[name] = number, metadata.TopicEntry(
             name, type_name, described.type_hash, qos, 0)
         self.counts[name] = 0
@@ -180,7 +181,7 @@ class BagWriter:
             self._save_metadata()
             return
         self._mcap.flush()
-        self._mcap.add_metadata('rosbag2', {'serialized_metadata': self._metadata()})
+        self._add_metadata()
         self._mcap.finish()
         self._stream.close()
         self._save_metadata(final=True)
@@ -201,11 +202,16 @@ class BagWriter:
     def _metadata(self, final=False):
         entries = [entry._replace(count=self.counts[name] if final else 0)
                    for name, (_, entry) in self._channels.items()]
-        return metadata.render(entries, f'{self._final.name}_0.mcap', *self._span, self.custom)
+        return metadata.information(entries, f'{self._final.name}_0.mcap', *self._span,
+                                    self.custom)
+
+    def _add_metadata(self):
+        self._mcap.add_metadata('rosbag2', {
+            'serialized_metadata': metadata.as_yaml(self._metadata())})
 
     def _save_metadata(self, final=False):
         write_text(self._folder / 'metadata.yaml',
-                   metadata.indent_under_root(self._metadata(final)))
+                   metadata.as_yaml({'rosbag2_bagfile_information': self._metadata(final)}))
 
     def _refuse_existing(self):
         if os.path.lexists(self._final):

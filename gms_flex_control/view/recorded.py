@@ -10,7 +10,7 @@ import warnings
 from gms_flex_control import friction as gms
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.bag import BagWarning
-from gms_flex_control.data.reader import joint_names, read_beside, read_blocks, read_recording
+from gms_flex_control.data.reader import joint_names, read_recording
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports.page import decimate
@@ -182,7 +182,7 @@ def open_bag(path, robot=None, *, default=None, joints=None, motors=None,
             there = joint_names(path)
             joints = robot.joints
             motors = motors or [name if name in there else '' for name in robot.motors]
-        recording, begin, _ = read_beside(path, joints, motors)
+        recording = read_recording(path, joints, motors)
         over = [read_recording(other, recording.joints, motors) for other in others]
     notes = [str(item.message) for item in caught if issubclass(item.category, BagWarning)]
     if robot is not None and robot.n_joints != recording.n_joints:
@@ -193,34 +193,28 @@ def open_bag(path, robot=None, *, default=None, joints=None, motors=None,
         robot = default
         notes.append('drawn as the arm of config/robot.yaml, whose joints have the same names; '
                      '--robot FILE names another')
-    torque, sticking = (values if values is not None and np.isfinite(values).any() else None
-                        for values in read_blocks(path, recording.time, begin,
-                                                  recording.n_joints))
-    origin = 'observer'
-    if sticking is None and robot is not None:
-        origin = 'model'
-        torque, sticking = blocks_along(recording, robot.friction)
+    torque, sticking = (None, None) if robot is None else blocks_along(recording, robot.friction)
     flexible = np.isfinite(recording.q_motor).any(axis=0)
     scene = unknown_scene(recording.joints, flexible) if robot is None else scene_of(robot)
     if not scene.known:
         notes.append('lengths and friction are not known: links drawn alike; --robot FILE '
                      'names the robot file')
     title, *pale = (Path(bag).resolve().name for bag in (path, *others))
-    return BagView(recording, scene, torque, sticking, origin=origin, notes=notes,
+    return BagView(recording, scene, torque, sticking, notes=notes,
                    title=f'{title}, pale: {", ".join(pale)}' if pale else title, over=over)
 
 
 class BagView:
     """
-    One recording as the page requests it; torque and sticking (T, n, N) of the blocks.
+    One recording as the page requests it; torque and sticking (T, n, N) of the model's blocks.
 
-    ``origin`` says where these come from, 'observer' or 'model'; ``over`` are other recordings.
+    ``over`` are other recordings.
     """
 
     live = False
 
-    def __init__(self, recording, scene, torque=None, sticking=None, *, origin='observer',
-                 notes=(), title='', over=()):
+    def __init__(self, recording, scene, torque=None, sticking=None, *, notes=(), title='',
+                 over=()):
         self._columns = columns_of(recording, torque, sticking)
         self._time = self._columns['time']
         self._period = recording.period
@@ -234,7 +228,7 @@ class BagView:
             self._names += columns
         found = present(self._columns)
         self._summary = {
-            'signals': found, 'blocks': {'count': blocks, 'origin': origin if blocks else ''},
+            'signals': found, 'blocks': {'count': blocks, 'origin': 'model' if blocks else ''},
             'torsion': self._largest('torsion'), 'load': self._largest('block'),
             'extent': extent(scene, recording.q_link)}
 
