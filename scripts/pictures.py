@@ -32,7 +32,7 @@ WIDTH = 1285  # of the report's picture [px]
 PART = """(() => {
   const from = [...document.querySelectorAll('h2')].find(
     (one) => one.textContent === 'Robots drawn at random').getBoundingClientRect().top - 12;
-  const chart = document.querySelectorAll('details .chart')[2].getBoundingClientRect();
+  const chart = document.querySelectorAll('details .chart')[1].getBoundingClientRect();
   return [from + scrollY, chart.bottom + 10 - from];
 })()"""
 

@@ -16,7 +16,7 @@ from gms_flex_control.params.arm import in_currents, in_units
 from gms_flex_control.reports.answers import COLUMNS, discrepancy_answer, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_values import comparison_rows
 from gms_flex_control.reports.figures import file_stem, save_figure
-from gms_flex_control.reports.page import Curve, Report, Series
+from gms_flex_control.reports.page import Report, Series
 from gms_flex_control.reports.pictures import evidence_figure, gap_figure, maps_figure, over_figure
 import numpy as np
 
@@ -72,7 +72,7 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
     first = None  # what stands open: how an effect shows, or the free runs of a joint
     if evidence and not opened:
         first = evidence[0]
-        _add_evidence_chart(report, first)
+        _add_evidence(report, first, evidence_figure(first))
     elif not opened:
         first = int(np.argmax(np.nan_to_num(result.gap.free_after)))
         _add_free_run(report, runs, first)
@@ -152,9 +152,9 @@ def _add_findings(report, result, evidence, picture, first):
                         f'{describe.of_joints(finding.indistinguishable_from)}. '
                         f'Discriminating experiment: {finding.discriminated_by}.', warning=True)
         stem = file_stem(f'{finding.effect}_{finding.joint}')
-        picture(evidence_figure(shown), f'evidence_{i + 1}_{stem}.png')
+        figure = picture(evidence_figure(shown), f'evidence_{i + 1}_{stem}.png')
         if shown is not first:
-            _add_evidence_chart(report, shown)
+            _add_evidence(report, shown, figure)
 
 
 def _finding_row(finding, scale):
@@ -167,17 +167,8 @@ def _finding_row(finding, scale):
             describe.of_joints(finding.indistinguishable_from))
 
 
-def _add_evidence_chart(report, evidence):
-    scale = describe.torque_scale(evidence.y)
-    size = scale.factor
-    curves = [Curve('samples without it', evidence.x, size * evidence.y, 'c6', points=True)]
-    for curve, role, name in ((evidence.before, 'c1', 'without it'),
-                              (evidence.after, 'c0', 'with it')):
-        curves.append(Curve(name, curve.x, size * curve.mean, role))
-    curves.append(Curve('the effect itself', evidence.own.x, size * evidence.own.mean, 'c2',
-                        dashed=True))
-    report.xy_chart(f'{evidence.effect} of {evidence.joint}: torque {evidence.title}', curves,
-                    evidence.x_label, f'torque [{scale.unit}]')
+def _add_evidence(report, evidence, figure):
+    report.figure(figure, f'{evidence.effect} of {evidence.joint}: torque {evidence.title}')
 
 
 def _add_left(report, result):

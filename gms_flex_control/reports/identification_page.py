@@ -19,8 +19,8 @@ from gms_flex_control.identification.outcome import (
 )
 from gms_flex_control.reports.answers import held_out_rows, identification_answer, worst_joint
 from gms_flex_control.reports.figures import file_stem, save_figure
-from gms_flex_control.reports.page import Curve, decimate, Report, Series
-from gms_flex_control.reports.pictures import DIRECTIONS, loops_figure, map_figure, MOST_LOOPS
+from gms_flex_control.reports.page import decimate, Report, Series
+from gms_flex_control.reports.pictures import loops_figure, map_figure
 import numpy as np
 
 MOST_TRACES = 6          # of one joint on the page
@@ -39,25 +39,28 @@ def write_identification_report(identification, folder, *, robot=()) -> list:
     folder, words = Path(folder), identification.in_units
     answer = identification_answer(identification, folder, robot)
     report = Report('Friction identification', answer, data_sentence(identification), words)
-    worst = worst_joint(identification)
-    _add_map(report, worst)
+    worst, paths = worst_joint(identification), []
+    shown = [(map_figure(result), loops_figure(result)) for result in identification.joints]
+    for figures, stem in zip(shown, _stems(identification.joints), strict=True):
+        for name, figure in zip(('map', 'presliding'), figures, strict=True):
+            paths.append(folder / f'{name}_{stem}.png')
+            save_figure(figure, paths[-1], words)
+    _add_map(report, worst, shown[identification.joints.index(worst)][0])
     _add_summary(report, identification)
-    for result in identification.joints:
-        _add_joint(report, result, opened=result is worst)
-    return [report.write(folder / 'report.html'), *_save_pictures(identification, folder)]
+    for result, (friction_map, loops) in zip(identification.joints, shown, strict=True):
+        _add_joint(report, result, None if result is worst else friction_map, loops)
+    return [report.write(folder / 'report.html'), *paths]
 
 
-def _save_pictures(identification, folder):
-    """Yield the path of each picture for print, written."""
-    words = identification.in_units
-    for i, result in enumerate(identification.joints):
-        stem = file_stem(result.joint)
-        clash = any(file_stem(other.joint) == stem for other in identification.joints[:i])
-        stem = f'{stem}_{i + 1}' if clash else stem
-        for name, figure in (('map', map_figure(result)), ('presliding', loops_figure(result))):
-            path = folder / f'{name}_{stem}.png'
-            save_figure(figure, path, words)
-            yield path
+def _stems(joints):
+    """Yield the name of each joint as part of the name of a file, that of no other."""
+    stems = [file_stem(result.joint) for result in joints]
+    for i, stem in enumerate(stems):
+        yield f'{stem}_{i + 1}' if stem in stems[:i] else stem
+
+
+def _add_map(report, result, figure):
+    report.figure(figure, f'{result.joint}: friction over velocity, measured and fitted')
 
 
 def _add_summary(report, identification):
@@ -81,17 +84,23 @@ def _add_summary(report, identification):
             (report.note(text, warning=True) if warning else report.text(text))
 
 
-def _add_joint(report, result, *, opened):
+def _add_joint(report, result, friction_map, loops):
+    """Add a joint; ``friction_map`` is None where the page begins with it."""
     report.heading(result.joint)
     report.text('Friction torque taken from ' + (
         'the spring between motor and link.' if result.side == 'spring' else
         'the motor torque, with the motor inertia part of the link.'))
     _add_parameters(report, result)
-    report.heading(f'{result.joint}: friction over velocity (Fig. 3)', level=3)
-    if not opened:
-        _add_map(report, result)
-    _add_map(report, result, log=True)
-    _add_presliding(report, result)
+    if friction_map is not None:
+        report.heading(f'{result.joint}: friction over velocity (Fig. 3)', level=3)
+        _add_map(report, result, friction_map)
+    report.heading(f'{result.joint}: presliding (Fig. 4)', level=3)
+    if not len(result.curve[0]):
+        report.note('No stiffness is identifiable from these data: no curve from rest is drawn.')
+    if not result.loops:
+        report.note('The data hold no presliding motion' + (
+            ': the curve rests on reversals alone.' if len(result.curve[0]) else '.'))
+    report.figure(loops, f'{result.joint}: hysteresis loops, and from rest')
     _add_motion(report, result)
     _add_candidates(report, result)
 
@@ -128,48 +137,6 @@ def _symbol(name):
     return _SYMBOLS.get(leaf, '')
 
 
-def _add_map(report, result, log=False):
-    """Add friction over velocity, or that against the motion over the logarithm of speed."""
-    measured, fit, curves = result.friction_map, result.steady_velocity, []
-    for i, (sign, name, _) in enumerate(DIRECTIONS):
-        way, turn = sign * measured.velocity > 0.0, sign if log else 1.0
-        for steady, label, role in ((True, f'{name}, steady', f'c{i}'),
-                                    (False, f'{name}, not steady', 'c6')):
-            rows = way & (measured.steady == steady)
-            curves.append(Curve(label, turn * measured.velocity[rows],
-                                turn * measured.torque[rows], role, points=True))
-        rows = sign * fit > 0.0
-        curves.append(Curve(f'{name}, fitted', turn * fit[rows],
-                            turn * result.steady_torque[rows], f'c{i + 3}'))
-    title, x = (('friction against the motion', 'speed') if log else
-                ('friction over velocity, measured and fitted', 'velocity'))
-    report.xy_chart(f'{result.joint}: {title}', curves, f'{x} [rad/s]', 'friction torque [N m]',
-                    log_x=log)
-
-
-def _add_presliding(report, result):
-    loops = []
-    for i, loop in enumerate(result.loops):
-        hidden, label = i >= MOST_LOOPS, short_label(loop.label)
-        loops += [Curve(f'{label}, measured', 1e3 * loop.displacement, loop.torque,
-                        f'c{i % 6}', hidden=hidden),
-                  Curve(f'{label}, fitted', 1e3 * loop.model_displacement, loop.torque,
-                        'reference', dashed=True, hidden=hidden)]
-    x, torque, low, high = result.curve
-    curves = [Curve('fitted', 1e3 * x, torque, 'c0'),
-              Curve('95 % low', 1e3 * x, low, 'c5', dashed=True),
-              Curve('95 % high', 1e3 * x, high, 'c5', dashed=True)]
-    report.heading(f'{result.joint}: presliding (Fig. 4)', level=3)
-    if not len(x):
-        report.note('No stiffness is identifiable from these data: no curve from rest is drawn.')
-    if not result.loops:
-        report.note('The data hold no presliding motion' + (
-            ': the curve rests on reversals alone.' if len(x) else '.'))
-    report.xy_chart('hysteresis loops', loops, 'displacement [mrad]', 'friction torque [N m]')
-    report.xy_chart('from rest', curves, 'displacement [mrad]', 'friction torque [N m]',
-                    log_x=True)
-
-
 def _add_motion(report, result):
     report.heading(f'{result.joint}: friction torque over time', level=3)
     if len(result.traces) > MOST_TRACES:
@@ -189,11 +156,6 @@ def _add_motion(report, result):
                 ('velocity', 'rad/s', [Series('link', velocity, role='c2')])):
             report.chart(f'{short_label(trace.label)}: {name}', time, lines,
                          y_label=f'{name} [{unit}]', group=group)
-    velocity, residual, out = _residuals(result)
-    report.xy_chart('residual over velocity', [
-        Curve(name, velocity[rows], residual[rows], role, points=True)
-        for name, rows, role in (('fitted', ~out, 'c5'), ('held out', out, 'c1'))],
-        'velocity [rad/s]', 'measured − model [N m]')
 
 
 def _add_candidates(report, result):
@@ -207,14 +169,3 @@ def _add_candidates(report, result):
          number(candidate.cost - best, 3), number(candidate.error, 3))
         for candidate in result.candidates],
         'The fit uses the fewest blocks that no other number beats by more than chance')
-
-
-def _residuals(result):
-    """Return velocity, measured less modelled torque and held_out of all traces, (T,) each."""
-    if not result.traces:
-        return np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool)
-    velocity, residual, out = (np.concatenate(columns) for columns in zip(*(
-        (trace.velocity, trace.measured - trace.model, trace.held_out)
-        for trace in result.traces), strict=True))
-    good = np.isfinite(velocity) & np.isfinite(residual)
-    return velocity[good], residual[good], out[good].astype(bool)

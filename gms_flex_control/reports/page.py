@@ -23,8 +23,6 @@ import numpy as np
 
 ROLES = ('reference', 'c0', 'c1', 'c2', 'c3', 'c4', 'c5', 'c6')
 MAX_POINTS = 200_000  # per series; longer ones are written as extremes per bucket
-MAX_CURVE = 20_000    # per curve; of longer ones every so many points are written
-MAX_CLOUD = 4_000     # likewise of points without a line
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 _OPTION, _WHOLE = re.compile(r'--[\w-]+'), r'<span>\g<0></span>'  # does not break at its '-'
 HINT = ('Drag to pan, wheel or shift-drag to zoom, double-click to reset; click a name in the '
@@ -38,18 +36,6 @@ class Series(NamedTuple):
     y: Any              # array_like, shape (T,); NaN leaves a gap
     x: Any = None       # array_like, shape (T,), if not the chart's
     role: str = ''      # a colour of ROLES; '' takes the next one
-    dashed: bool = False
-    hidden: bool = False  # off until clicked in the legend
-
-
-class Curve(NamedTuple):
-    """One line or cloud of points whose abscissa need not increase."""
-
-    label: str
-    x: Any                # array_like, shape (T,)
-    y: Any                # array_like, shape (T,); NaN leaves a gap
-    role: str = ''        # a colour of ROLES; '' takes the next one
-    points: bool = False  # points without a line between them
     dashed: bool = False
     hidden: bool = False  # off until clicked in the legend
 
@@ -134,34 +120,6 @@ class Report:
                              'group': group})
         return self._add('chart', _chart_html(len(self._charts) - 1, self._words(title)))
 
-    def xy_chart(self, title, curves, x_label='', y_label='', *, log_x=False) -> Self:
-        """
-        Add an interactive chart of Curves, over the logarithm of x if ``log_x`` (then x > 0).
-
-        Curves without a point are left out, and a chart without curves. ValueError if shapes
-        differ or a role is unknown.
-        """
-        lines, lows, highs = [], [], []
-        for i, item in enumerate(curves):
-            x, y = _points(item, log_x)
-            if not np.isfinite(x).any():
-                continue
-            lows.append(np.nanmin(x))
-            highs.append(np.nanmax(x))
-            lines.append({'label': self._words(item.label), 'x': self._store(x, '<f8'),
-                          'y': self._store(y, '<f4'), 'role': _role(item, i),
-                          'points': item.points, 'dashed': item.dashed, 'hidden': item.hidden})
-        if not lines:
-            return self
-        low, high = min(lows), max(highs)
-        margin = 0.03 * (high - low) or 0.1 * abs(low) or 1.0
-        window = np.array([low - margin, high + margin])
-        index = len(self._charts)
-        self._charts.append({'x': self._store(window, '<f8'), 'series': lines, 'xy': True,
-                             'log_x': log_x, 'x_label': self._words(x_label),
-                             'y_label': self._words(y_label), 'group': f'xy {index}'})
-        return self._add('chart', _chart_html(index, self._words(title)))
-
     def html(self) -> str:
         """Return the whole page (str)."""
         folder = files('gms_flex_control.reports')
@@ -245,18 +203,6 @@ def _role(item, i):
     return role
 
 
-def _points(curve, log_x):
-    """Return x and y of a Curve, few enough, NaN where there is a gap."""
-    x, y = (np.array(values, dtype=float) for values in (curve.x, curve.y))
-    if x.ndim != 1 or x.shape != y.shape:
-        raise ValueError(f'curve {curve.label!r}: y has shape {y.shape}, x {x.shape}')
-    step = max(1, int(np.ceil(len(x) / (MAX_CLOUD if curve.points else MAX_CURVE))))
-    x, y = x[::step], y[::step]
-    good = np.isfinite(x) & np.isfinite(y) & ((x > 0.0) | (not log_x))
-    x[~good] = y[~good] = np.nan
-    return (np.log10(x) if log_x else x), y
-
-
 def _chart_html(index, title):
     buttons = ''.join(
         f'<button type="button" data-act="{act}" title="{hint}"{pressed}>{label}</button>'
@@ -265,7 +211,7 @@ def _chart_html(index, title):
             ('large', 'Large', 'Full width', ' aria-pressed="false"'),
             ('reset', 'Reset', 'Show everything (double-click, key 0)', '')))
     return (f'<section class="chart" id="chart-{index}"><header><h3>{escape(title)}</h3>'
-            f'<output></output>{buttons}</header><div class="plot"></div></section>')
+            f'{buttons}</header><div class="plot"></div></section>')
 
 
 def _row(tag, cells, numeric):

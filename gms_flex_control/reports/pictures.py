@@ -37,7 +37,7 @@ def map_figure(result) -> Figure:
         for steady, face in ((False, 'none'), (True, colour)):
             rows = (sign * measured.velocity > 0.0) & (measured.steady == steady)
             look = {'color': colour, 'markerfacecolor': face, 'markersize': 2.6,
-                    'markeredgewidth': 0.5, 'alpha': 0.8 if steady else 0.45}
+                    'markeredgewidth': 0.5, 'alpha': 0.8 if steady else 0.45, 'rasterized': True}
             linear.plot(measured.velocity[rows], measured.torque[rows], 'o', **look)
             log.plot(sign * measured.velocity[rows], sign * measured.torque[rows], 'o', **look,
                      label=f'{name}, measured' if steady else None)
@@ -126,7 +126,7 @@ def evidence_figure(evidence) -> Figure:
     figure, ((panel,),) = panels_of(1, 1, (WIDTH, 3.6))
     keep, scale = thinned(len(evidence.x), _MOST_POINTS), torque_scale(evidence.y)
     panel.plot(evidence.x[keep], scale.factor * evidence.y[keep], '.', color=COLOURS[4],
-               markersize=1.8, alpha=0.35, zorder=1)
+               markersize=1.8, alpha=0.35, zorder=1, rasterized=True)
     panel.axhline(0.0, color='0.6', linewidth=0.6)
     for curve, colour, name in ((evidence.before, BEFORE, 'without the effect'),
                                 (evidence.after, AFTER, 'with it')):

@@ -47,8 +47,6 @@
 
   /* What uPlot is given for the window [min, max]: every sample if few, else extremes. */
   function view(chart, min, max) {
-    if (chart.spec.xy)  /* its curves are drawn by their own paths; this keeps uPlot going */
-      return [Array.from(chart.x), ...chart.ys.map(() => [0, 0])];
     const first = Math.max(0, lowerBound(chart.x, min) - 1);
     const last = Math.min(chart.x.length, lowerBound(chart.x, max) + 2);
     const buckets = Math.max(200, Math.ceil(chart.box.clientWidth * 1.5));
@@ -90,67 +88,12 @@
 
   function range(chart, lo, hi) {
     if (chart.yRange) return chart.yRange;
-    if (chart.spec.xy) [lo, hi] = extent(chart);
     if (lo == null || hi == null) return [-1, 1];
     const pad = hi > lo ? 0.06 * (hi - lo) : Math.abs(hi) * 0.1 || 1e-3;
     return [lo - pad, hi + pad];
   }
 
-  /* ---- curves over an abscissa of their own ----------------------------------------- */
-
-  /* Smallest and largest y of what is shown, within the window. */
-  function extent(chart) {
-    let lo = Infinity, hi = -Infinity;
-    chart.ys.forEach((y, i) => {
-      if (!chart.shown[i]) return;
-      const x = array(chart.spec.series[i].x);
-      for (let k = 0; k < y.length; k++) {
-        if (!(x[k] >= chart.min && x[k] <= chart.max) || !Number.isFinite(y[k])) continue;
-        lo = Math.min(lo, y[k]);
-        hi = Math.max(hi, y[k]);
-      }
-    });
-    return lo <= hi ? [lo, hi] : [null, null];
-  }
-
-  function curve(chart, i) {
-    const line = chart.spec.series[i], xs = array(line.x), ys = chart.ys[i];
-    return (u) => {
-      const stroke = new Path2D(), clip = new Path2D(), dot = 1.6 * devicePixelRatio;
-      clip.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height);
-      let pen = false;
-      for (let k = 0; k < ys.length; k++) {
-        if (!Number.isFinite(ys[k])) { pen = false; continue; }
-        const x = u.valToPos(xs[k], 'x', true), y = u.valToPos(ys[k], 'y', true);
-        if (line.points) stroke.rect(x - dot, y - dot, 2 * dot, 2 * dot);
-        else if (pen) stroke.lineTo(x, y);
-        else stroke.moveTo(x, y);
-        pen = true;
-      }
-      return {stroke, fill: line.points ? stroke : null, clip, flags: 3};
-    };
-  }
-
-  /* What differs from a chart over time. */
-  function curveSeries(chart, s, i) {
-    if (!chart.spec.xy) return {};
-    return {paths: curve(chart, i), points: {show: false},
-            ...(s.points ? {width: 1, fill: css('--' + s.role)} : {})};
-  }
-
-  function readOut(chart, u) {
-    const {left, top} = u.cursor, inside = left >= 0 && top >= 0;
-    const x = inside ? u.posToVal(left, 'x') : 0;
-    chart.root.querySelector('output').textContent = inside
-      ? format(chart.spec.log_x ? 10 ** x : x) + ', ' + format(u.posToVal(top, 'y')) : '';
-  }
-
-  const powers = (u, ticks) => ticks.map((v) => (v == null ? ''
-    : (v >= -2 && v <= 3 ? String(Number((10 ** v).toPrecision(2)))
-      : (10 ** v).toExponential(v % 1 ? 1 : 0)).replace('-', '−')));
-
   function options(chart) {
-    const xy = Boolean(chart.spec.xy), log = Boolean(chart.spec.log_x);
     const axis = {
       stroke: css('--muted'), grid: {stroke: css('--grid'), width: 1},
       ticks: {stroke: css('--grid'), width: 1, size: 5}, font: '12px system-ui, sans-serif',
@@ -160,23 +103,20 @@
     return {
       ...size(chart),
       scales: {x: {time: false}, y: {range: (u, lo, hi) => range(chart, lo, hi)}},
-      axes: [{...axis, label: chart.spec.x_label, size: 30,
-              ...(log ? {values: powers, incrs: [0.5, 1, 2, 3, 5, 10]} : {})},
+      axes: [{...axis, label: chart.spec.x_label, size: 30},
              {...axis, label: chart.spec.y_label, size: axisWidth, space: 28}],
-      cursor: {y: xy, drag: {x: false, y: false},
+      cursor: {y: false, drag: {x: false, y: false},
                sync: {key: 'group:' + chart.spec.group, setSeries: false, scales: ['x', null]},
-               points: {show: !xy, size: 6}},
-      legend: {live: !xy},
+               points: {show: true, size: 6}},
+      legend: {live: true},
       series: [
         {label: chart.spec.x_label.replace(/ ?\[.*/, ''), value: (u, v) => format(v)},
         ...chart.spec.series.map((s, i) => ({
           label: s.label, show: chart.shown[i], stroke: css('--' + s.role),
           width: s.dashed ? 1.4 : 1.6, dash: s.dashed ? [6, 4] : undefined,
-          points: {show: (u) => u.data[0].length < 60}, value: (u, v) => format(v),
-          ...curveSeries(chart, s, i)})),
+          points: {show: (u) => u.data[0].length < 60}, value: (u, v) => format(v)})),
       ],
-      hooks: {setCursor: xy ? [(u) => readOut(chart, u)] : [],
-              setSeries: [(u, i) => { if (i) chart.shown[i - 1] = u.series[i].show; }]},
+      hooks: {setSeries: [(u, i) => { if (i) chart.shown[i - 1] = u.series[i].show; }]},
     };
   }
 
