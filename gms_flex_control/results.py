@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 import html
 from typing import Any, TYPE_CHECKING
 
-from gms_flex_control.comparison import prediction, study
+from gms_flex_control.comparison import study
 from gms_flex_control.comparison.tracking import Run, Table4, table4
 from gms_flex_control.data.recording import Phase, Recording
 from gms_flex_control.discrepancy import workflow
@@ -205,8 +205,7 @@ class ComparisonResult(Result):
     """Friction compensations side by side, see `compare`."""
 
     arm: ArmParams
-    unit: str                   # of ``errors``
-    errors: dict[str, list[float | None]]  # by compensation; None where it was lost or not asked
+    errors: dict[str, list[float | None]]  # by compensation [rad]; None where it was lost
     titles: tuple[str, ...]     # of the entries of each list
     text: str
     values: dict[str, Any]
@@ -224,12 +223,12 @@ class ComparisonResult(Result):
         figure, panels = stacked_panels(len(self.titles))
         for k, (panel, title) in enumerate(zip(panels, self.titles, strict=True)):
             panel.bar(list(self.errors), [one[k] or 0.0 for one in self.errors.values()])
-            panel.set_ylabel(f'{title} [{self.unit}]')
+            panel.set_ylabel(f'{title} [rad]')
             panel.tick_params(axis='x', labelrotation=30)
         return figure
 
     def _rows(self) -> list[dict[str, Any]]:
-        return [{'compensation': mode} | {f'{title} [{self.unit}]': value for title, value in zip(
+        return [{'compensation': mode} | {f'{title} [rad]': value for title, value in zip(
             self.titles, values, strict=True)} for mode, values in self.errors.items()]
 
 
@@ -301,42 +300,23 @@ def tune(robot: RobotParams, gains: ControllerParams, *, rate: float = 500.0, de
                         trials)
 
 
-def compare(robot: RobotParams, gains: ControllerParams, recording: Recording | None = None, *,
-            draws: int = 0, rate: float = 500.0, amplitude: float = 1.0, seed: int = 0,
-            fit: float = 0.5) -> ComparisonResult:
+def compare(robot: RobotParams, gains: ControllerParams, *, draws: int = 0, rate: float = 500.0,
+            amplitude: float = 1.0, seed: int = 0) -> ComparisonResult:
     """
-    Return eight friction compensations side by side, in simulation or along a recording.
+    Return eight friction compensations side by side, in simulation.
 
-    In simulation each drives the robot at ``rate`` [Hz] through motions of ``amplitude`` [rad],
-    also with ``draws`` robots that differ from the belief. Along a recording each predicts the
-    friction torque, fitted to its first part, the share ``fit``, and judged on the rest.
+    Each drives the robot at ``rate`` [Hz] through motions of ``amplitude`` [rad], also with
+    ``draws`` robots that differ from the belief.
     """
-    if recording is not None:
-        along = prediction.along(recording, robot)
-        masks = prediction.split(along.pieces, fit)
-        fits = {mode: prediction.fit(along, gains, mode, masks).tolist()
-                for mode in prediction.modes_to_fit(along.has_reference)}
-        found = prediction.compare_along(along, gains, fit, fits)
-        return ComparisonResult(
-            robot.arm, 'N m', {one.mode: list(one.error) if one.error is not None
-                               else [None] * robot.n_joints for one in found}, robot.joints,
-            comparison_page.bag_text(found, along, robot.joints),
-            {'fit': fit, 'rows': prediction_values(found)})
     setting = study.Setting(robot, gains, np.full(robot.n_joints, amplitude), rate, draws, seed)
     rows = study.table({key: study.try_cell(cell) for key, cell in study.cells(setting).items()},
                        setting)
     titles = tuple(rows[0].errors)
     return ComparisonResult(
-        robot.arm, 'rad', {row.mode: [row.errors[title] for title in titles] for row in rows},
+        robot.arm, {row.mode: [row.errors[title] for title in titles] for row in rows},
         titles, comparison_page.plant_text(rows),
         {'rate': rate, 'amplitude': amplitude, 'draws': draws, 'seed': seed,
          'rows': [row._asdict() for row in rows]})
-
-
-def prediction_values(predictions: Sequence[prediction.Prediction]) -> list[dict[str, Any]]:
-    """Return predictions along a recording as plain values, without the torques."""
-    return [{name: getattr(one, name) for name in ('mode', 'name', 'error', 'fitted', 'remark')}
-            for one in predictions]
 
 
 def _fields(found: Any) -> dict[str, Any]:

@@ -65,15 +65,9 @@ OPTIONS = [
         ('--robot absent.yaml', 'absent.yaml: cannot be read'),
         ('--robot {folder}', 'cannot be read'))),
     *((f'compare --out {{dir}} {words}', sentence) for words, sentence in (
-        ('--fit 2', '--fit 2'), ('--draws -1', '--draws -1'), ('--rate 0', '--rate 0'),
-        ('nowhere', 'nowhere'), ('nowhere.yaml', 'nowhere.yaml'),
+        ('--draws -1', '--draws -1'), ('--rate 0', '--rate 0'),
+        ('nowhere.yaml', 'nowhere.yaml'),
         ('--draws 0 --workers 0 --out {missing}', '--workers 0'),
-        ('bag --rate 100', '--rate 100: applies to a plant'),
-        ('bag --draws 50', '--draws 50: applies to a plant'),
-        ('bag --seed 0', '--seed 0: applies to a plant'),
-        ('--fit 0.4', '--fit 0.4: applies to a bag'),
-        ('a.yaml --robot b.yaml', '--robot b.yaml: the plant is a.yaml already'),
-        ('one two', 'two: give one bag at a time'), ('bag a.yaml', 'robot files behind --robot'),
         ('--out /proc/cmp', '--out /proc/cmp: /proc cannot be written'))),
     *((f'tune --out {{dir}} {words}', sentence) for words, sentence in (
         ('--rate 0', '--rate 0'), ('--damping 0.5', 'at least 1'),

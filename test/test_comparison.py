@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Compensations side by side: conditions, figures, batches, and friction along a recording."""
+"""Compensations side by side: conditions, figures and batches."""
 
 from dataclasses import replace
 import json
@@ -9,18 +9,9 @@ import re
 
 from core_runs import model_with_error
 from gms_flex_control.cli.main import main
-from gms_flex_control.comparison import prediction, study
-from gms_flex_control.comparison.prediction import along, predicted
+from gms_flex_control.comparison import study
 from gms_flex_control.comparison.study import Condition, conditions, CONTESTANTS, plant_of
-from gms_flex_control.experiment.simulated import (
-    read_plan,
-    run_plan,
-    simulate,
-    simulate_to_bag,
-    to_recording,
-)
-from gms_flex_control.file_io import controller_file, robot_file, share_path
-from gms_flex_control.params.robot import EncoderParams
+from gms_flex_control.file_io import robot_file
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values
@@ -129,67 +120,6 @@ def test_compare_prints_the_table_and_writes_a_page_that_stands_alone(
     assert 0.0 < floor < 0.1 * none and last.startswith('next: gms_flex simulate')
 
 
-@pytest.fixture(scope='module')
-def plan():
-    return read_plan([robot_file(), controller_file(), share_path() / 'config' / 'sinusoid.yaml'],
-                     duration=12.0)
-
-
-def test_the_friction_along_a_recording_is_the_one_that_acted(plan):
-    """Ideal encoders: measured, and replayed with the true parameters, against the truth."""
-    ideal = replace(plan, robot=replace(plan.robot, encoder=EncoderParams()))
-    run = run_plan(ideal)
-    found = along(to_recording(run, ideal), ideal.robot)
-    piece, inner = found.pieces[0], slice(50, -50)
-    true = prediction.low_pass(run.friction, piece.window)
-    assert found.has_reference
-    for said in (piece.friction, prediction.low_pass(
-            predicted(piece, found.robot, ideal.gains, 'gms_desired'), piece.window)):
-        assert np.sqrt(np.mean((said - true)[inner] ** 2)) < 0.02 * np.std(true)
-
-
-def test_fitted_models_tell_held_out_friction_in_the_order_of_what_they_know(plan):
-    """Friction believed 0.7 of what it is; nothing tells all of it, GMS nearly none is left."""
-    model = model_with_error(plan.robot, friction=0.7)
-    found = along(simulate(plan), model)
-    masks = prediction.split(found.pieces, 0.5)
-    fits = {mode: prediction.fit(found, plan.gains, mode, masks)
-            for mode in ('stribeck', 'gms_desired')}
-    fits |= dict.fromkeys(prediction.modes_to_fit(True), np.zeros((10, 2))) | fits
-    said = {one.mode: np.array(one.error)
-            for one in prediction.compare_along(found, plan.gains, 0.5, fits)}
-    late = found.pieces[0].friction[~masks[0]]
-    np.testing.assert_allclose(said['none'], np.sqrt(np.mean(late ** 2, axis=0)))
-    assert np.all(said['stribeck'] < 0.25 * said['none'])
-    assert np.all(said['gms_desired'] < 0.5 * said['stribeck'])
-    assert np.all(said['gms_desired'] < 0.04 * said['none'])
-    assert np.all(said['gms_adaptive'] < said['gms_paper'])  # both believe 0.7; one learns
-
-
-def test_without_a_reference_what_needs_one_is_left_out(plan):
-    found = along(simulate(plan), plan.robot)._replace(has_reference=False)
-    assert prediction.modes_to_fit(False) == ['stribeck', 'lugre', 'gms_paper']
-    fits = dict.fromkeys(prediction.modes_to_fit(False), np.zeros((10, 2)))
-    said = {one.mode: one for one in prediction.compare_along(found, plan.gains, 0.5, fits)}
-    assert said['gms_desired'].error is None and said['lugre'].error is not None
-    assert said['gms'].remark == 'the bag has no reference with its derivatives'
-    line = next(one for one in comparison_page.bag_text(
-        list(said.values()), found, plan.robot.joints).splitlines() if 'GMS of desired' in one)
-    assert line.split()[4] == '-'
-
-
-def test_compare_fits_along_a_bag(plan, tmp_path, capsys, only, monkeypatch):
-    only('none', 'stribeck')
-    monkeypatch.setattr(prediction, 'modes_to_fit', lambda has_reference: ['stribeck'])
-    simulate_to_bag(replace(plan, duration=8.0), tmp_path / 'bag')
-    assert main(['compare', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 0
-    assert 'static Stribeck' in capsys.readouterr().out
-    told = json.loads((tmp_path / 'out' / 'comparison.json').read_text())
-    errors = {row['mode']: np.array(row['error']) for row in told['rows']}
-    assert np.all(errors['stribeck'] < 0.3 * errors['none'])
-    assert 'Torque over time' in (tmp_path / 'out' / 'report.html').read_text()
-
-
 def test_the_robot_as_identified_is_the_plant(arm, tmp_path, only, capsys):
     """As `gms_flex identify` writes it: a file beside that of the robot, the later one winning."""
     only('none')
@@ -198,7 +128,7 @@ def test_the_robot_as_identified_is_the_plant(arm, tmp_path, only, capsys):
               if name.startswith('friction.') and name.endswith(('.static', '.coulomb'))}
     save_values(values, twice)
     files, told = [str(robot_file()), str(twice)], []
-    for k, place in enumerate(([], ['--robot', *files])):
+    for k, place in enumerate(([], files)):
         assert main(['compare', *place, '--draws', '0', '--workers', '1', '--json', '--out',
                      str(tmp_path / str(k))]) == 0
         told.append(json.loads(capsys.readouterr().out)['rows'][0]['errors']['nominal'])

@@ -29,7 +29,7 @@ robot = gms.load_robot('robot.yaml')
 gains = gms.load_controller('controller.yaml', robot)
 recording = gms.simulate(gms.read_plan(['plan.yaml']))
 for shown in (gms.identify([recording], robot), gms.find_discrepancy([recording], robot),
-              gms.tune(robot, gains), gms.compare(robot, gains, recording),
+              gms.tune(robot, gains), gms.compare(robot, gains),
               gms.analyse({('sinusoid', 'none'): recording})):
     text: str = shown.summary()
     reveal_type(shown.plot())

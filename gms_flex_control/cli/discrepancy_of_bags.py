@@ -1,15 +1,13 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The verb `discrepancy`: what a model lacks, from bags together or each by itself."""
+"""The verb `discrepancy`: what a model lacks to explain bags of its robot."""
 
 import json
 from pathlib import Path
 import sys
 from textwrap import fill
 
-from gms_flex_control.cli import each_bag
-from gms_flex_control.cli.each_bag import discrepancy_text
 from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
 from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
@@ -34,10 +32,6 @@ def discrepancy_verb(args) -> int:
     _refuse_out(Path(args.out), args)
     refuse_repeated(args.bags, args.holdout)
     _options_of(args)
-    if args.each:
-        _models_of(args, load_robot(args.robot))  # says now what is wrong with them
-        found = each_bag.run_each(args, ask_bag, discrepancy_text)
-        return int(any(values.get('verdict') != COMPLETE for values in found.values()))
     result, compared, holdout = _answered(args)
     values = _write_files(result, compared, holdout, args)
     return _printed(result, compared, values, args)
@@ -156,11 +150,3 @@ def _models_of(args, robot):
 def _progress(args):
     """Return the function that prints progress: on a terminal only, and beside the results."""
     return (lambda text: None) if args.json else lambda text: say(f'  {text} ...')
-
-
-def ask_bag(args) -> dict:
-    """Ask the one bag of the arguments what the model lacks; write and return the results."""
-    _refuse_out(args.out, args)
-    result, compared, holdout = _answered(args)
-    _write_files(result, compared, holdout, args)
-    return files.over_bags_values(result)

@@ -1,12 +1,11 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The verb `identify`: friction parameters from bags, together or each by itself."""
+"""The verb `identify`: friction parameters from bags fitted together."""
 
 from dataclasses import replace
 from pathlib import Path
 
-from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
 from gms_flex_control.data.conditions import conditions_of, with_conditions
 from gms_flex_control.data.reader import joint_names, read_experiment
@@ -23,13 +22,10 @@ from gms_flex_control.schema.files import load_robot_to_identify
 
 
 def identify_verb(args) -> int:
-    """Identify, write and print; return 0, with --each 1 if a bag could not be identified."""
+    """Identify, write and print; return 0."""
     refuse_unwritable(args.out)
     refuse_repeated(args.bags, args.holdout)
     options = _options_of(args)
-    if args.each:
-        found = each_bag.run_each(args, identify_bag, each_bag.identification_text)
-        return int(any(values['reason'] is not None for values in found.values()))
     found, out = _written(args, options, (lambda _: None) if args.json else say), Path(args.out)
     if args.json:
         print(as_json(output.report_json(found)))
@@ -40,11 +36,6 @@ def identify_verb(args) -> int:
         'parameters': out / 'friction.yaml', 'report': out / 'report.html',
         'numbers': out / 'report.json'}, words)
     return 0
-
-
-def identify_bag(args) -> dict:
-    """Identify the one bag of the arguments and write its results; return `bag_values` (dict)."""
-    return output.bag_values(_written(args, _options_of(args), lambda _: None))
 
 
 def _written(args, options, progress):

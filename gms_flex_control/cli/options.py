@@ -85,13 +85,6 @@ def out_folder(what: str, default: str | None = None) -> Option:
     return option('--out', default=default, metavar='DIR', help=f'{what} (default: {default})')
 
 
-def each_bag(more: str = '') -> Option:
-    """Return the option --each; its help ends with ``more``."""
-    return option('--each', action='store_true',
-                  help='each bag by itself, --workers at once, into DIR/NAME OF THE BAG, all '
-                       f'side by side in DIR/summary.json{more}')
-
-
 def add_options(parser, options) -> None:
     """Add Options and OneOfs to a parser or group."""
     for one in options:

@@ -6,7 +6,6 @@
 from gms_flex_control.cli.options import (
     BAG,
     CONTROLLER,
-    each_bag,
     FORCE,
     JSON,
     LINKS,
@@ -90,9 +89,6 @@ _DEMO = Verb(
                help='simulated length of each run (default: sinusoid 20, polynomial to its end)'),
         JSON),
     ('demo', 'demo --motions sinusoid --modes none gms --duration 6 --out short'))
-# options of one way to compare alone, and their values where none was given
-OF_A_PLANT = {'draws': 50, 'rate': 500.0, 'amplitude': 1.0, 'seed': 0}
-OF_A_BAG = {'fit': 0.5}
 EXPORTS = ('mujoco', 'urdf', 'ros2_control', 'csv')
 
 _IMPORT_CSV = Verb(
@@ -140,11 +136,8 @@ _IDENTIFY = Verb(
     'Fit the friction of a robot to bags of identification_node, of `ros2 bag record` or of '
     'import-csv. Writes friction.yaml, which plant and controller take as it is, report.json, '
     'report.html and pictures. Inertia, stiffness and gravity of the robot file are relied on '
-    'unless --estimate all. With --each every bag is identified by itself, and each parameter is '
-    'compared over the bags; exit code 1 if a bag could not be identified.', (
-        option('bags', nargs='+', metavar='BAG',
-               help='bags of one robot, fitted together; with --each of any number'),
-        each_bag(),
+    'unless --estimate all.', (
+        option('bags', nargs='+', metavar='BAG', help='bags of one robot, fitted together'),
         option('--robot', metavar='FILE', nargs='+',
                help='robot parameters, later files winning; by default each joint of the bag is '
                     'a rigid axis of its own and all is estimated'),
@@ -157,21 +150,18 @@ _IDENTIFY = Verb(
                help='numbers of Maxwell blocks to choose from'),
         option('--joints', nargs='+', metavar='NAME',
                help='joints to take from the bags; default: all of the robot'),
-        FORCE, JSON, WORKERS),
+        FORCE, JSON),
     ('identify my_bag --robot robot.yaml --out results',
      'identify first second --robot robot.yaml --holdout third --out results',
-     'identify my_bag --out results',
-     'identify bags/* --each --robot robot.yaml --workers 4 --out each'))
+     'identify my_bag --out results'))
 _DISCREPANCY = Verb(
     'discrepancy', 'discrepancy_of_bags.discrepancy_verb',
     'find what a model lacks, name it, add it, show the gap shrink',
     'Compare a model with bags of its robot, recorded or simulated; name the physical effects it '
     'lacks, write them into DIR/robot.yaml, and show on held-out data how much better it '
     'predicts: report.json, report.html, pictures. Exit codes: 0 nothing is missing, 1 effects '
-    'were found or something is unexplained, 2 the data or the input are bad. With --each every '
-    'bag is analysed by itself, and names are counted over the bags.', (
+    'were found or something is unexplained, 2 the data or the input are bad.', (
         option('bags', nargs='+', metavar='BAG', help='bags of one robot'),
-        each_bag('; exit code 1 also where the data of a bag are bad'),
         option('--robot', metavar='FILE', nargs='+', required=True,
                help='the model one believes in, later files winning'),
         out_folder('folder for the results'),
@@ -194,10 +184,9 @@ _DISCREPANCY = Verb(
         option('--controller', nargs='+', default=[], metavar='FILE',
                help='the controller that drove the robot while it believed --robot: its closed '
                     'loop is simulated along the recorded /reference, too'),
-        FORCE, JSON, WORKERS),
+        FORCE, JSON),
     ('discrepancy my_bag --robot robot.yaml --out results',
-     'discrepancy my_bag --robot robot.yaml friction.yaml --holdout another_bag --out results',
-     'discrepancy bags/* --each --robot robot.yaml --workers 4 --out each'))
+     'discrepancy my_bag --robot robot.yaml friction.yaml --holdout another_bag --out results'))
 _SIMULATE = Verb(
     'simulate', 'robots.simulate', 'the closed loop without ROS, as a bag',
     'Simulate plant, controller and reference in this process from the parameter files of the '
@@ -314,30 +303,20 @@ _TUNE = Verb(
 _COMPARE = Verb(
     'compare', 'compare.compare_verb', 'friction compensations side by side',
     'Compare eight ways to compensate friction: none, static Stribeck, LuGre, four kinds of GMS '
-    '(of the paper, improved, of the desired motion, adaptive) and a disturbance observer. On a '
-    'plant (a robot file) each drives it in simulation, also with friction, K and M that differ '
-    'from the belief, with coarse and fine encoders, and at other rates. Along a bag they predict '
-    'the friction torque, fitted to its first part and judged on the rest.', (
-        option('source', nargs='*', metavar='BAG|PLANT',
-               help='a bag, or robot files, later ones winning; default: --robot'),
-        option('--robot', nargs='+', metavar='FILE',
-               help='robot files, later ones winning: of a bag, or the plant if none is named '
-                    'before; default: the arm of the paper'),
+    '(of the paper, improved, of the desired motion, adaptive) and a disturbance observer. Each '
+    'drives the plant in simulation, also with friction, K and M that differ from the belief, '
+    'with coarse and fine encoders, and at other rates.', (
+        option('robot', nargs='*', metavar='PLANT',
+               help='robot files, later ones winning; default: the arm of the paper'),
         CONTROLLER,
-        option('--draws', type=int, metavar='N', least=0,
-               help='of a plant: robots with all parameters off at once (default: '
-                    f'{OF_A_PLANT["draws"]})'),
-        option('--rate', type=float, metavar='HZ', least=1e-3, most=1e4,
-               help=f'of a plant: that of the controller (default: {OF_A_PLANT["rate"]:g})'),
-        option('--amplitude', type=float, metavar='RAD', least=1e-6, most=100.0,
-               help=f'of a plant: of the motions (default: {OF_A_PLANT["amplitude"]:g})'),
-        option('--seed', type=int, metavar='N', least=0, help='of a plant: of the draws'),
-        option('--fit', type=float, metavar='SHARE', least=0.05, most=0.95,
-               help=f'of a bag: its first part, that is fitted (default: {OF_A_BAG["fit"]:g})'),
+        option('--draws', type=int, default=50, metavar='N', least=0,
+               help='robots with all parameters off at once (default: %(default)d)'),
+        number('--rate', 'HZ', 500.0, 'of the controller', least=1e-3, most=1e4),
+        number('--amplitude', 'RAD', 1.0, 'of the motions', least=1e-6, most=100.0),
+        option('--seed', type=int, default=0, metavar='N', least=0, help='of the draws'),
         WORKERS, out_folder('report.html, comparison.json', 'comparison'), JSON),
     ('compare', 'compare robot.yaml --controller tuned/controller.yaml --out comparison',
-     'compare robot.yaml results/friction.yaml --draws 20',
-     'compare my_bag --robot robot.yaml --controller tuned/controller.yaml --out along_bag'))
+     'compare robot.yaml results/friction.yaml --draws 20'))
 _EXPORT = Verb(
     'export', 'robots.export',
     'the identified robot for MuJoCo, URDF, ros2_control, or as a table',

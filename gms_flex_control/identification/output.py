@@ -1,18 +1,10 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""
-Files for machines: report.json, and friction.yaml for controller, plant and tools.
+"""Files for machines: report.json, and friction.yaml for controller, plant and tools."""
 
-Of bags identified each by itself, also how a parameter scatters from bag to bag, beside what the
-intervals of the bags foresee. More than that is what changed between the recordings: temperature,
-load, wear, another machine.
-"""
-
-from collections import Counter
 import math
 from textwrap import wrap
-from typing import NamedTuple
 
 from gms_flex_control import __version__
 from gms_flex_control.file_io import plain, write_json
@@ -21,9 +13,7 @@ from gms_flex_control.identification.outcome import (
     data_sentence,
     Identification,
     joint_sentences,
-    NOT_IDENTIFIABLE,
     percent,
-    SET,
     short_name,
     standing,
 )
@@ -141,92 +131,3 @@ def _comment(identification):
                   for estimate in result.estimates if estimate.flags]
     return '\n'.join(part for line in lines for part in wrap(
         line, _COMMENT_WIDTH, subsequent_indent='    '))
-
-
-class OverBags(NamedTuple):
-    """One parameter over all bags that identify it."""
-
-    name: str
-    unit: str
-    bags: int                  # that identify it: neither set nor flagged as not identifiable
-    mean: float
-    standard_deviation: float  # over the bags; NaN for one
-    foreseen: float            # standard deviation by the intervals of the bags
-
-
-def bag_values(identification: Identification) -> dict:
-    """
-    Return what is compared of an Identification of one bag, plain values for JSON.
-
-    ``estimates`` with ``low`` and ``high`` of the interval, ``held_out`` and ``coulomb_viscous``
-    (errors relative to the torque) of each joint, and ``warnings``; None for NaN. The same
-    wherever and however fast it was computed.
-    """
-    joints = identification.joints
-    return plain({
-        'estimates': [_estimate(one) for result in joints for one in result.estimates],
-        'held_out': {one.joint: one.held_out.relative for one in joints},
-        'coulomb_viscous': {one.joint: one.held_out.coulomb_viscous for one in joints},
-        'warnings': [*identification.warnings, *(f'{one.joint}: {text}' for one in joints
-                                                 for text in one.warnings)]})
-
-
-def _estimate(estimate):
-    low, high = estimate.interval
-    return {'name': estimate.name, 'unit': estimate.unit, 'value': estimate.value,
-            'low': low, 'high': high, 'flags': estimate.flags, 'standing': standing(estimate)}
-
-
-def over_bags(bags: dict) -> tuple:
-    """
-    Return an OverBags of each parameter, from `bag_values` by the name of the bag.
-
-    Stiffnesses of blocks only from the bags that have the commonest number of blocks.
-    """
-    usual = _usual_blocks(bags)
-    found, units = {}, {}
-    for bag, values in bags.items():
-        blocks = _blocks(values)
-        for one in values['estimates']:
-            units[one['name']] = one['unit']
-            found.setdefault(one['name'], {})
-            joint = _block_of(one['name'])
-            if is_identified(one) and (joint is None or blocks[joint] == usual[joint]):
-                found[one['name']][bag] = one
-    return tuple(_row(name, units[name], rows) for name, rows in found.items() if rows)
-
-
-def is_identified(estimate: dict) -> bool:
-    """Return whether data, and not a prior or a person, gave an estimate of `bag_values`."""
-    return (estimate['standing'] not in (NOT_IDENTIFIABLE, SET)
-            and None not in (estimate['value'], estimate['low'], estimate['high']))
-
-
-def _block_of(name):
-    """Return the prefix that the blocks of a joint have in common, None for other parameters."""
-    prefix, bracket, _ = name.partition('.stiffness[')
-    return prefix if bracket else None
-
-
-def _blocks(values):
-    """Return the number of blocks of each joint of a bag."""
-    return Counter(filter(None, (_block_of(one['name']) for one in values['estimates'])))
-
-
-def _usual_blocks(bags):
-    """Return the commonest number of blocks of each joint, the smaller of two as common."""
-    counts = {}
-    for values in bags.values():
-        for joint, number in _blocks(values).items():
-            counts.setdefault(joint, Counter())[number] += 1
-    return {joint: min(found, key=lambda number: (-found[number], number))
-            for joint, found in counts.items()}
-
-
-def _row(name, unit, rows):
-    values = np.array([one['value'] for one in rows.values()])
-    errors = np.array([0.5 * (one['high'] - one['low']) for one in rows.values()]) / CONFIDENT
-    return OverBags(
-        name, unit, len(values), float(values.mean()),
-        float(values.std(ddof=1)) if len(values) > 1 else float('nan'),
-        float(np.sqrt(np.mean(errors ** 2))))

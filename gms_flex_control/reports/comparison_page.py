@@ -9,7 +9,8 @@ from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.comparison import study
 from gms_flex_control.comparison.study import conditions, CONTESTANTS, NOMINAL
 from gms_flex_control.params.arm import in_units
-from gms_flex_control.reports.page import Curve, Report, Series
+from gms_flex_control.reports.figures import COLOURS, labelled, side_by_side, STYLES
+from gms_flex_control.reports.page import Report, Series
 import numpy as np
 
 _GROUPS = {'friction': 'F+-30%', 'K': 'K+-20%', 'M': 'M+-30%', '4096 counts': '4k', '16384 counts':
@@ -58,26 +59,6 @@ def plant_text(rows) -> str:
     return f'{align(_header(rows), [_cells(row) for row in rows])}\n{_NOTE}'
 
 
-def _bag_rows(predictions, joints):
-    """Return header and rows of predictions along a bag, cells of text [mN m]."""
-    titles = ['compensation', *(f'{joint} held out' for joint in joints),
-              *(f'{joint} fitted' for joint in joints), 'remark']
-    nothing = ['-'] * len(joints)
-    return titles, [[
-        one.name, *(nothing if one.error is None else map(_milli, one.error)),
-        *(nothing if one.fitted is None else map(_milli, one.fitted)), one.remark]
-        for one in predictions]
-
-
-def bag_text(predictions, found, joints) -> str:
-    """Return the table of predictions along a bag with a note, str."""
-    rms = np.sqrt(np.mean(np.concatenate([one.friction for one in found.pieces]) ** 2, axis=0))
-    size = ', '.join(f'{joint} {1e3 * value:.3g}'
-                     for joint, value in zip(joints, rms, strict=True))
-    return (f'{align(*_bag_rows(predictions, joints))}\nrms error of the predicted friction '
-            f'torque [mN m]; the measured one is {size}')
-
-
 def plant_answer(rows, outcomes, files=()) -> Answer:
     """Return which compensation errs least in simulation (Answer); ``files`` of the robot."""
     floor = study.floor_of(outcomes)
@@ -107,23 +88,6 @@ def plant_answer(rows, outcomes, files=()) -> Answer:
 def _least(error):
     """Return an error for comparison: one that was lost is the largest."""
     return np.inf if error is None else error
-
-
-def bag_answer(predictions, joints, source, files=()) -> Answer:
-    """Return which compensation predicts the rest of a bag best (Answer)."""
-    none = next(one for one in predictions if one.mode == 'none')
-    best = min((one for one in predictions if one.error is not None and not one.remark),
-               key=lambda one: np.sum(np.square(one.error)))
-    share = np.sqrt([np.sum(np.square(one)) / np.sum(np.square(of)) for one, of in (
-        (best.error, none.error), (best.fitted, none.fitted))])
-    rows = [measured('left of the friction torque [%]', 1.0, *share, scale=100.0)] + [
-        measured(f'error of {joint} [mN m]', *figures) for joint, *figures in zip(
-            joints, none.error, best.error, best.fitted, strict=True)]
-    return Answer(
-        f'"{best.name}" predicts the friction torque of the rest of the recording best and leaves '
-        f'{100.0 * share[0]:.3g} % of it; the floor is what the same model leaves of the part '
-        'that it was fitted to.', ('none', best.name, 'floor'), tuple(rows[:3]), command(
-            'identify', source, *(('--robot', *files) if files else ()), '--out', 'friction'))
 
 
 def plant_page(rows, outcomes, setting, source) -> Report:
@@ -159,9 +123,8 @@ def plant_page(rows, outcomes, setting, source) -> Report:
                       for mode in CONTESTANTS)] for one in conditions(0)],
         caption='rms error of all joints and both motions [mrad]')
     if rows[0].drawn:
-        page.heading('Robots drawn at random').xy_chart(
-            'error of all drawn robots, the best first', [_ranked(row) for row in rows],
-            'share of robots', 'rms error [mrad]', log_x=False)
+        page.heading('Robots drawn at random').figure(
+            _ranked_figure(rows), 'rms error of all drawn robots, the best first')
     page.heading('Error over time, plant as believed')
     for motion, joint, series, time in traces:
         page.chart(f'{motion}, {joint}', time, series, y_label='error [mrad]', group=motion)
@@ -173,10 +136,17 @@ def _role(mode):
     return ('reference', *(f'c{k}' for k in range(7)))[list(CONTESTANTS).index(mode)]
 
 
-def _ranked(row):
-    known = sorted(value for value in row.drawn if value is not None)
-    return Curve(row.name, (np.arange(len(known)) + 0.5) / max(len(row.drawn), 1),
-                 1e3 * np.array(known), role=_role(row.mode), hidden=row.mode == 'none')
+def _ranked_figure(rows):
+    """Return the errors of all drawn robots, a curve for each compensation, the best first."""
+    figure, (panel,) = side_by_side(1)
+    for k, row in enumerate(rows[1:]):  # without any, errors are far larger
+        known = 1e3 * np.sort([value for value in row.drawn if value is not None])
+        share = (np.arange(len(known)) + 0.5) / max(len(row.drawn), 1)
+        panel.plot(share, known, STYLES[k // len(COLOURS)], color=COLOURS[k % len(COLOURS)],
+                   label=row.name)
+    panel.legend(loc='best')
+    return labelled(figure, [panel], [('share of robots', 'rms error [mrad]')],
+                    'Robots drawn at random')
 
 
 def _traces(setting, condition):
@@ -192,41 +162,3 @@ def _traces(setting, condition):
                              role=_role(mode), hidden=mode in ('none', 'stribeck', 'lugre'))
                       for mode, run in runs.items()]
             yield motion, joint, series, runs['none'].time
-
-
-def bag_page(predictions, found, robot, source, share, files=()) -> Report:
-    """
-    Return the page of a comparison along a bag.
-
-    ``predictions`` are those of prediction.compare_along for the recording ``found`` (Along), of
-    which a ``share`` was fitted; ``files`` are those of the robot, if not the arm of the paper.
-    """
-    joints = robot.joints
-    answer = bag_answer(predictions, joints, source, files)
-    page = Report('Friction torque along a recording', answer, f'{source}: the first '
-                  f'{100 * share:.0f} % fitted, the rest judged', partial(in_units, robot.arm))
-    (title, time, lines, _), *others = _torques(predictions, found, joints)
-    page.chart(f'{title}: friction torque', time, [
-        one._replace(hidden=one.label not in ('measured', answer.columns[1])) for one in lines],
-        y_label='friction torque [N m]')
-    page.heading('Errors').table(*_bag_rows(predictions, joints),
-                                 caption='rms error of the friction torque [mN m]')
-    page.text('Measured is what the link equation lacks, behind the same low-pass as the '
-              'predictions. One that sees the torque, or adapts to it, predicts nothing.')
-    if others:
-        page.heading('Torque over time')
-    for title, time, lines, group in others:
-        page.chart(title, time, lines, y_label='friction torque [N m]', group=group)
-    return page
-
-
-def _torques(predictions, found, joints):
-    """Yield title, time, Series of measurement and predictions, and group of each chart."""
-    for k, piece in enumerate(found.pieces):
-        name = f', piece {k + 1}' if len(found.pieces) > 1 else ''
-        for j, joint in enumerate(joints):
-            lines = [Series('measured', piece.friction[:, j], role='reference')]
-            lines += [Series(one.name, one.torque[k][:, j], role=_role(one.mode),
-                             hidden=one.mode in ('stribeck', 'disturbance_observer'))
-                      for one in predictions if one.torque and one.mode != 'none']
-            yield f'{joint}{name}', piece.time, lines, f'piece {k}'

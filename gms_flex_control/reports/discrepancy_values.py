@@ -97,23 +97,6 @@ def _gap_values(gap):
             name: _by_joint(again.joints, getattr(again, name)) for name in _TORQUES}}
 
 
-def over_bags_values(result) -> dict:
-    """Return what is compared of Discrepancies of several bags, as plain data."""
-    gap = result.gap
-    return plain({
-        'reason': '; '.join(result.data.faults) or result.words if result.gap is None else None,
-        'verdict': result.verdict, 'words': result.words,
-        **{name: [f'{one.effect} of {one.joint}' for one in found] for name, found in (
-            ('effects', result.findings), ('minor', result.minor))},
-        'unexplained': result.unexplained and result.unexplained.sentence,
-        'estimates': [{'name': f'{finding.joint}.{finding.effect}.{value.name}',
-                       'unit': value.unit, 'value': value.value, 'low': value.low,
-                       'high': value.high, 'flags': [], 'standing': 'found'}
-                      for finding in result.named for value in finding.values],
-        'gap': None if gap is None else {
-            name: _by_joint(gap.joints, getattr(gap, name)) for name in _TORQUES}})
-
-
 def _by_joint(joints, values):
     return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
 
