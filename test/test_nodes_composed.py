@@ -26,16 +26,11 @@ from node_harness import (
 import numpy as np
 import pytest
 from test_nodes_lockstep import assert_equal
-from test_nodes_loop import (  # noqa: F401  they hold here as well
+from test_nodes_loop import (  # noqa: F401  what no lockstep shows holds here as well
     listen,
     RATE,
     test_a_gain_changes_and_a_whole_number_is_taken_for_a_double,
-    test_a_group_is_taken_whole_or_not_at_all,
-    test_compensation_changes_while_it_moves,
     test_controller_publishes_error_estimate_and_blocks,
-    test_effort_of_a_motor_is_the_torque_applied_in_the_sample_before,
-    test_joint_states_name_links_then_motors,
-    test_reference_and_command_carry_layout_stamp_and_source,
 )
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 

@@ -29,11 +29,10 @@ from node_harness import (
 import numpy as np
 
 EXAMPLES = Path(__file__).parents[1] / 'examples' / 'industrial_arm'
-RIGID = """
-motors: ['', '']
-arm:
-  joint1: {stiffness: .inf}
-  joint2: {stiffness: .inf}
+MIXED = """
+motors: ['', joint2_motor]
+arm: {joint1: {stiffness: .inf}}
+encoder: {noise: 1e-4}
 """
 
 
@@ -62,19 +61,30 @@ def assert_equal(driven, simulated):
 
 
 def test_nodes_and_one_process_agree(tmp_path, monkeypatch):
-    """At 300 Hz the period is no whole number of nanoseconds; noise comes from the same seed."""
+    """
+    At 300 Hz the period is no whole number of nanoseconds; noise comes from the same seed.
+
+    The first joint is rigid: it has no motor side and no motor name, and its link the effort.
+    """
+    mixed = write_parameters(tmp_path / 'mixed.yaml', MIXED)
+    save_robot(load_robot([FILES[0], mixed]), tmp_path / 'robot.yaml')
     extra = write_parameters(tmp_path / 'extra.yaml', (
-        'encoder: {noise: 1e-4}\nseed: 7\ninitial: {joint1: 0.4}\n'
+        'seed: 7\ninitial: {joint1: 0.4}\n'
         'trajectory: {joint1: {amplitude: 0.7}, ramp_time: 1}'))
-    driven, simulated, plan = both(
-        tmp_path, monkeypatch, [*FILES, CONFIG / 'sinusoid.yaml', extra],
-        duration=3.0, compensation='gms', rate=300.0)
+    files = [tmp_path / 'robot.yaml', FILES[1], CONFIG / 'sinusoid.yaml', extra]
+    driven, simulated, plan = both(tmp_path, monkeypatch, files, duration=3.0,
+                                   compensation='gms', rate=300.0)
     assert len(driven.time) == 900
     assert np.all(np.isfinite(driven.reference)) and np.all(np.isfinite(driven.command))
-    assert np.all(np.isfinite(driven.friction_hat)) and np.all(np.isfinite(driven.q_motor))
+    assert np.all(np.isfinite(driven.friction_hat))
+    assert np.ptp(driven.tau_motor, axis=0).min() > 0.05
+    np.testing.assert_array_equal(np.isfinite(driven.q_motor), [[False, True]] * 900)
     assert np.all(np.diff(np.rint(driven.time * 1e9)) == plan.period_ns)
     assert np.ptp(driven.q_link[:, 0]) > 0.3  # it moved
     assert_equal(driven, simulated)
+    names = {tuple(unpack_joint_state(data)[2]) for batch in Bag(tmp_path / 'driven').batches()
+             for topic, _, _, data in batch if topic == STATES}
+    assert names == {('joint1', 'joint2', 'joint2_motor')}
 
 
 def test_the_last_sample_is_answered_before_the_plant_ends(tmp_path):
@@ -92,25 +102,6 @@ def test_the_last_sample_is_answered_before_the_plant_ends(tmp_path):
         assert plant.runs and stamp_of(states[-1]) == 20_000_000
         commands.publish(array_message([0.0, 0.0], 'stamp:20000000'))
         assert plant.wait() == 0
-
-
-def test_a_rigid_robot_runs_and_its_links_carry_the_effort(tmp_path, monkeypatch):
-    """A rigid joint has no motor side and no motor name."""
-    rigid = write_parameters(tmp_path / 'rigid.yaml', RIGID)
-    save_robot(load_robot([FILES[0], rigid]), tmp_path / 'robot.yaml')
-    motion = write_parameters(tmp_path / 'motion.yaml', (
-        'trajectory: {type: polynomial, move_time: 0.8, hold_time: 0.1, joint1: {amplitude: 0.2}, '
-        'joint2: {amplitude: 0.2}}'))
-    driven, simulated, _ = both(tmp_path, monkeypatch, [
-        tmp_path / 'robot.yaml', FILES[1], motion], duration=1.0, compensation='gms')
-    assert len(driven.time) == 500
-    assert np.all(np.isfinite(driven.tau_motor)) and np.ptp(driven.tau_motor) > 0.05
-    assert abs(driven.q_link[-1, 0] - 0.2) < 0.05
-    assert_equal(driven, simulated)
-    assert np.all(np.isnan(driven.q_motor))
-    names = {tuple(unpack_joint_state(data)[2]) for batch in Bag(tmp_path / 'driven').batches()
-             for topic, _, _, data in batch if topic == STATES}
-    assert names == {('joint1', 'joint2')}
 
 
 def test_an_arm_of_a_urdf_runs(tmp_path, monkeypatch):

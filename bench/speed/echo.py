@@ -12,9 +12,9 @@ too, once SERVICE (std_srvs/Trigger) has enabled it.
 import sys
 import time
 
+from bench.speed.timed_node import LoopTiming
 from gms_flex_control.nodes import process
 from gms_flex_control.nodes.messages import array, NANOSECONDS, set_stamp
-from gms_flex_control.nodes.pacing import LoopTiming
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -105,7 +105,7 @@ class Pacer(Node):
                     self._enable()
                 if (self._timing is None and self._begins is not None
                         and time.monotonic() > self._begins):
-                    self._timing = LoopTiming(self._path, self._period, None)
+                    self._timing = LoopTiming(self._path, self._period)
                     self.get_logger().info('measures')
                 set_stamp(self._message.header.stamp, time.time_ns())
                 if self._timing is not None:

@@ -28,7 +28,7 @@ from gms_flex_control.file_io import share_path
 
 _START_BOUND, _SETTLE = 120.0, 1.0  # [s]
 _RATES = (500.0, 1000.0)
-_ECHO = [sys.executable, '-m', 'bench.speed.echo']
+_ECHO, _TIMED = ([sys.executable, '-m', f'bench.speed.{name}'] for name in ('echo', 'timed_node'))
 _TOPICS = ('joint_states', 'effort_controller/commands', 'reference', 'cascade_controller/state',
            'cascade_controller/blocks', 'cascade_controller/sticking')
 # targets at 1 kHz on an idle machine of 2 cores: loop, figure -> value and whether at least
@@ -74,25 +74,25 @@ def run_loop(rate, duration, *, composed=False, beside=None, **parameters):
 
     ``composed`` is in one process, of which all topics are recorded; ``beside`` starts further
     processes of the Run before the loop, of which one hears the joint states, and returns their
-    names. Return what the plant measured (dict, see nodes.pacing), and the share of one core each
-    process took while it ran [%].
+    names. Return what the plant measured (dict, see `timed_node.LoopTiming`), and the share of one
+    core each process took while it ran [%].
     """
     moves = {'trajectory.autostart': True}
     with Run() as run:
         timing = run.folder / 'timing.json'
-        plant = {'rate': rate, 'substeps': 10, 'duration': duration, 'timing_file': timing,
+        plant = {'rate': rate, 'substeps': 10, 'duration': duration,
                  'wait_for_subscribers': 2 + composed + (beside is not None)}
         others = [] if beside is None else beside(run)
         if composed:
             names = ['loop_node']
             run.start('recorder', [*executable('gms_flex'), 'record', '--topics', *_TOPICS,
                                    '--out', str(run.folder / 'bag')])
-            run.start_node('loop_node', [], {**plant, **moves, **parameters})
+            run.start_node('loop_node', [], {**plant, **moves, **parameters}, timing)
         else:
             names = ['plant_node', 'controller_node', 'trajectory_node']
             run.start_node('controller_node', [], parameters)
             run.start_node('trajectory_node', [], {**moves, **parameters})
-            run.start_node('plant_node', [], {**plant, **parameters})
+            run.start_node('plant_node', [], {**plant, **parameters}, timing)
         run.processes.wait_for_text(names[0], ['ACTIVE'], _START_BOUND)
         processor = run.processor([*names, *others], duration - 2.0 * _SETTLE)
         run.processes.wait(names[0], _START_BOUND)
@@ -127,10 +127,11 @@ class Run:
         """Start a process."""
         self._running[name] = self.processes.start(name, command)
 
-    def start_node(self, name, files, parameters):
-        """Start a node and wait until it is there."""
+    def start_node(self, name, files, parameters, timing=None):
+        """Start a node, measured into the file ``timing`` if given, and wait until it is there."""
         files = [_config(f'{file}.yaml') for file in ('robot', 'controller', 'sinusoid')] + files
-        self.start(name, [*executable(name), *ros_arguments(files, parameters)])
+        command = executable(name) if timing is None else [*_TIMED, name, str(timing)]
+        self.start(name, [*command, *ros_arguments(files, parameters)])
         told = '[plant]' if name == 'loop_node' else '[INFO]'
         self.processes.wait_for_text(name, [told], _START_BOUND)
 

@@ -1,19 +1,16 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""How a simulated robot keeps time: paced by the clock or stepped by its commands; its timing."""
+"""How a simulated robot keeps time: paced by the clock or stepped by its commands."""
 
-import json
 import sys
 import time
 
 from builtin_interfaces.msg import Time
-from gms_flex_control.file_io import write_text
 from gms_flex_control.hardware.supervision import LATE, Lateness, NOTABLE
 from gms_flex_control.nodes import process
 from gms_flex_control.nodes.health import now
 from gms_flex_control.nodes.messages import NANOSECONDS
-import numpy as np
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
@@ -25,56 +22,6 @@ _REPEAT_PERIOD = 1.0     # an unanswered state is sent again in lockstep [s]
 _READY = 100_000         # before its deadline a state waits for it awake [ns]
 _LATEST_START = 5        # samples the stamps may be off the clock before some are left out
 _RISE = round(0.1 * NANOSECONDS)  # in which torque rises after a silence
-_LONGEST = 3600          # seconds that are measured; later samples are not
-
-
-class LoopTiming:
-    """
-    Times of the samples of one run, on the monotonic clock.
-
-    ``path`` is that of a JSON file for the result, '' measures nothing; ``period`` and
-    ``duration``, None without an end, are in ns.
-    """
-
-    def __init__(self, path, period, duration):
-        self._path, self._period = path, period
-        samples = round((duration or _LONGEST * 1_000_000_000) / period) + 2 if path else 0
-        self._published = np.zeros(samples, dtype=np.int64)
-        self._answered = np.zeros(samples, dtype=np.int64)
-        self._count = 0
-
-    def published(self) -> None:
-        """Note that the next state leaves now."""
-        if self._count < len(self._published):
-            self._published[self._count] = time.monotonic_ns()
-            self._count += 1
-
-    def answered(self, sample, arrived) -> None:
-        """Note that the command for state number ``sample`` came at ``arrived`` [ns]."""
-        if 0 <= sample < self._count and self._answered[sample] == 0:
-            self._answered[sample] = arrived
-
-    def save(self) -> None:
-        """
-        Write the figures to the file, if one was named.
-
-        A sample counts as answered in time if its command came before the next state left.
-        """
-        if not self._path or self._count < 3:
-            return
-        sent, came = self._published[:self._count], self._answered[:self._count]
-        next_sent, sent_before = sent[1:], sent[:-1]
-        came = came[:-1]
-        in_time = (came > 0) & (came <= next_sent)
-        trips = (came - sent_before)[came > 0] / 1e3
-        interval_error = np.abs(np.diff(sent) - self._period) / 1e3
-        result = {
-            'samples': int(len(came)), 'rate': float(1e9 / np.mean(np.diff(sent))),
-            'answered_in_time': float(np.mean(in_time)), 'lost': int(np.sum(came == 0)),
-            'round_trip_median_us': float(np.median(trips)) if len(trips) else None,
-            'round_trip_p99_us': float(np.percentile(trips, 99)) if len(trips) else None,
-            'interval_error_p99_us': float(np.percentile(interval_error, 99))}
-        write_text(self._path, json.dumps(result, indent=2) + '\n')
 
 
 class Paced:
@@ -85,13 +32,8 @@ class Paced:
         self._lock = node.direct.lock
         self._timeout = round(NANOSECONDS * values['command_timeout'])
         self._lateness = Lateness()
-        self._first = 0          # stamp of the first state, which counts samples for the timing
         self.resumed = -_RISE    # stamp at which torque began to rise
         self.missed = self.left_out = 0
-
-    def answered(self, stamp, arrived) -> None:
-        """Note that the command for the state of ``stamp`` came."""
-        self._arm.timing.answered((stamp - self._first) // self._arm.period, arrived)
 
     def run(self, spinner) -> None:
         """Simulate until the duration is over or a signal comes."""
@@ -102,9 +44,9 @@ class Paced:
         process.tighten_timers()
         sys.setswitchinterval(_SWITCH)
         arm = self._arm
-        self._first, deadline = now(self._node).nanoseconds, time.monotonic_ns()
+        first, deadline = now(self._node).nanoseconds, time.monotonic_ns()
         with self._lock:
-            arm.begin(self._first)
+            arm.begin(first)
         while spinner.goes_on() and not arm.is_last():
             if background.error is not None:
                 raise background.error
@@ -180,7 +122,6 @@ class Paced:
         if count < 0:
             self._robot.command = (arm.zero, None, 0)  # the next ones are older than it
         arm.stamp += count * arm.period
-        self._first += count * arm.period
         self.resumed += count * arm.period
         self._health.warn('clock', (
             f'{behind / 1e6:.1f} ms late, {count} samples are left out: the machine is too busy '
@@ -207,9 +148,6 @@ class Lockstep:
         self._paused = request.data
         response.success, response.message = True, 'paused' if request.data else 'goes on'
         return response
-
-    def answered(self, stamp, arrived) -> None:
-        """Do nothing: no time is measured here."""
 
     def run(self, spinner) -> None:
         """Simulate until the duration is over or a signal comes."""

@@ -16,7 +16,7 @@ from gms_flex_control.hardware.supervision import (
 )
 from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.messages import NANOSECONDS
-from gms_flex_control.nodes.pacing import Lockstep, LoopTiming, Paced
+from gms_flex_control.nodes.pacing import Lockstep, Paced
 from gms_flex_control.nodes.topics import Inbox, Outlet
 from gms_flex_control.schema.build import robot_from_values
 from gms_flex_control.schema.node_values import limits_from_values
@@ -35,8 +35,6 @@ class _Arm:
         self.period, self.stamp, self.ticks = round(NANOSECONDS / values['rate']), 0, 0  # [ns]
         duration = values['duration']  # as many samples as a run in one process has
         self._samples = max(1, round(duration * NANOSECONDS / self.period)) if duration else None
-        self.timing = LoopTiming(values['timing_file'], self.period,
-                                 self._samples and self._samples * self.period)
         make_plant = partial(
             SteppedPlant, robot, period=self.period / NANOSECONDS, substeps=values['substeps'],
             seed=values['seed'],
@@ -80,7 +78,6 @@ class _Arm:
             # a sleep would end too late, and what it finds would be cold; who waits for the lock
             # gets the interpreter no sooner, see _SWITCH and _READY in pacing.py
             pass
-        self.timing.published()
         self.outlet.publish(message)
 
     def is_last(self) -> bool:
@@ -139,10 +136,12 @@ class SimulatedRobot(SupervisedRobot):
         self._commands.take(source, now)  # first: `watch` in the other thread looks at it
         if not self._supervisor.active:
             self._resume(silence)
-        self.command = (np.array(torque), stamp, now)
-        if stamp is not None:
-            self._pace.answered(stamp, now)
+        self.take(np.array(torque), stamp, now)
         return True
+
+    def take(self, torque, stamp, now) -> None:
+        """Take a command (n_joints,) [N m] that answers the state of ``stamp``, None for any."""
+        self.command = (torque, stamp, now)
 
     def simulate(self, torque) -> None:
         """Simulate one sample under a torque, if any may flow."""
@@ -235,4 +234,3 @@ class SimulatedRobot(SupervisedRobot):
 
     def finish(self) -> None:
         """End: a simulated robot needs no last zero."""
-        self._arm.timing.save()

@@ -43,7 +43,6 @@ _PLANT = (
         10.0),
     Key('seed', 'of the encoder noise', '', 0, 0, 2**31 - 1),
     Key('duration', 'simulated time after which the node ends; 0 is never', 's', 0.0, 0.0, 1e7),
-    Key('timing_file', 'JSON file for the timing of a realtime run', default=''),
     Key('wait_for_subscribers', 'begin only when so many listen to the joint states', '', 0, 0,
         100),
     Key('clock_rate', 'most /clock messages per simulated second, lockstep only', 'Hz', 100.0,
