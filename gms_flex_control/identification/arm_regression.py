@@ -29,7 +29,6 @@ from gms_flex_control.identification.arm_differences import (
     Unknowns,
 )
 from gms_flex_control.identification.arm_rows import rows_of
-from gms_flex_control.identification.axis_fit import robust
 from gms_flex_control.identification.base_parameters import block_scores, regress, weighting_of
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
@@ -41,6 +40,7 @@ from gms_flex_control.identification.inertial_parameters import (
     nearest_arm,
     UNITS,
 )
+from gms_flex_control.identification.robust_regression import robust
 from gms_flex_control.identification.segments import drive_sides, rigid_where
 from gms_flex_control.identification.uncertainty import (
     block_sums,

@@ -33,7 +33,7 @@ from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.outcome import CONFIDENT
 from gms_flex_control.identification.prediction_error import FEWEST_WAVES
-from gms_flex_control.identification.uncertainty import block_sums
+from gms_flex_control.identification.robust_regression import held_out_error, solution
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -44,9 +44,6 @@ SKEWED = 0.3       # part of the deflection's torque that goes with the velocity
 _FEWEST = 60       # moving rows
 _SLOWEST = 0.05    # of the usual speed: below this a row does not count as moving
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
-_HUBER = 1.5       # residuals beyond this many standard deviations count less
-_ROUNDS = 8
-_OWN_SCALE = 50    # rows from which a group has a scale of its own: its median is within 15 %
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there
 _WORTH = 0.97      # of the held-out error: gravity or a ripple that helps less is not there
@@ -203,16 +200,16 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
                              wave[moving]], axis=1)
     both = np.concatenate([rows.acceleration[:, None], gravity, others[:, 1:]], axis=1)
     enough = _WORTH if np.ptp(rows.angle) > _NARROW else _CLEAR
-    with_gravity, off = _held_out(both, rows), _held_out(others, rows)
+    with_gravity, off = (held_out_error(one, rows.torque, rows.block) for one in (both, others))
     has_gravity = turns and with_gravity < enough * off
     columns, off = (both, with_gravity) if has_gravity else (others, off)
     plain = columns.shape[1]
     if has_gravity:
         columns, off = _with_load(columns, rows, off)
-    values, error = _solution(columns, rows)
+    values, error = solution(columns, rows.torque, rows.block)
     known = values[0] > CONFIDENT * error[0]
     if not known:  # what is no inertia must not bend the rest
-        kept, wide = _solution(columns[:, 1:], rows)
+        kept, wide = solution(columns[:, 1:], rows.torque, rows.block)
         values, error = np.append(0.0, kept), np.append(error[0], wide)
     rest = rows.torque - columns @ values
     wave = slice(plain - wave.shape[1], plain)
@@ -246,17 +243,18 @@ def _with_load(columns, rows, off):
     would explain itself. Friction that varies with the angle must predict worse: under gravity
     both change together.
     """
-    carried, count = columns @ _solution(columns, rows)[0], columns.shape[1]
+    carried, count = columns @ solution(columns, rows.torque, rows.block)[0], columns.shape[1]
     for _ in range(_LOADINGS):
         grown = np.column_stack([columns, np.abs(carried) * np.sign(rows.rate)])
-        values, error = _solution(grown, rows)
+        values, error = solution(grown, rows.torque, rows.block)
         carried = grown @ values
     if values[count] < max(CONFIDENT * error[count], _LEAST):
         return columns, off
-    with_load = _held_out(grown, rows)
+    with_load = held_out_error(grown, rows.torque, rows.block)
     placed = np.sign(rows.rate) * np.array([
         wave(order * rows.angle) for order in _PLACES for wave in (np.cos, np.sin)])
-    rival = _held_out(np.column_stack([columns, placed.T]), rows)
+    rival = held_out_error(np.column_stack([columns, placed.T]), rows.torque,
+                           rows.block)
     return (grown, with_load) if with_load < min(_WORTH * off, rival) else (columns, off)
 
 
@@ -264,65 +262,6 @@ def _levels(friction, rate):
     """Return the usual friction forward and backward, against the motion [N m]."""
     return [float(np.median(sign * friction[np.sign(rate) == sign]))
             if (np.sign(rate) == sign).any() else 0.0 for sign in (1.0, -1.0)]
-
-
-def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = None) -> tuple:
-    """
-    Return the weights (S,) of rows in a robust regression (Huber), and the residuals' scale.
-
-    The scale is the standard deviation of their bulk, a number, or (S,) that of each row's
-    ``group`` (S,): what carries a load is noisier. ``columns`` (S, P), ``target`` (S,).
-    """
-    weights, scale = np.ones(len(target)), 1.0
-    for _ in range(_ROUNDS):
-        root = np.sqrt(weights) / (1.0 if group is None else scale)  # one scale changes nothing
-        values = np.linalg.lstsq(columns * root[:, None], target * root, rcond=1e-10)[0]
-        off = np.abs(target - columns @ values)
-        scale = _scale(off) if group is None else _scales(off, group)
-        weights = np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-300))
-    return weights, scale
-
-
-def _scale(off):
-    return max(float(np.median(off)) / 0.6745, 1e-300) if len(off) else 1.0
-
-
-def _scales(off, group):
-    """Return the scale (S,) of each row's group, that of all where a group has few rows."""
-    scale = np.full(len(off), _scale(off))
-    for one in np.unique(group):
-        rows = group == one
-        if np.sum(rows) >= _OWN_SCALE:
-            scale[rows] = _scale(off[rows])
-    return scale
-
-
-def _solution(columns, rows):
-    """Return coefficients and standard errors, blocks of time being independent only."""
-    root = np.sqrt(robust(columns, rows.torque)[0])
-    scaled, target = columns * root[:, None], rows.torque * root
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
-    values = inverse @ (scaled.T @ target)
-    blocks = block_sums(scaled * (target - scaled @ values)[:, None], rows.block)
-    blocks = blocks[np.bincount(rows.block, minlength=len(blocks)) > 0]
-    many = len(blocks) / max(len(blocks) - 1, 1)
-    return values, np.sqrt(np.diag(many * inverse @ (blocks.T @ blocks) @ inverse))
-
-
-def _held_out(columns, rows):
-    """Return the robust error of predicting each of five sets of blocks from the others."""
-    off = np.empty(len(rows.torque))
-    for fold in range(5):
-        out = rows.block % 5 == fold
-        if not out.any() or out.all():
-            off[out] = 0.0
-            continue
-        weights, _ = robust(columns[~out], rows.torque[~out])
-        root = np.sqrt(weights)
-        values = np.linalg.lstsq(columns[~out] * root[:, None], rows.torque[~out] * root,
-                                 rcond=1e-10)[0]
-        off[out] = rows.torque[out] - columns[out] @ values
-    return float(np.mean(np.abs(off)))
 
 
 def fit_axis_with_ripple(recordings: Sequence, rows: Rows, joint: int, name: str,
@@ -404,16 +343,9 @@ def fit_motor(recordings: Sequence, joint: int) -> MotorFit | None:
         return None
     table = np.concatenate(parts, axis=1)
     target, columns, block = table[0], table[1:7].T, table[7].astype(int)
-    weights, _ = robust(columns, target)
-    root = np.sqrt(weights)
-    scaled = columns * root[:, None]
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
-    values = inverse @ (scaled.T @ (target * root))
-    scores = scaled * (target * root - scaled @ values)[:, None]
-    blocks = block_sums(scores, block)
-    error = np.sqrt(np.diag(inverse @ (blocks.T @ blocks) @ inverse))[:3]
+    values, error = solution(columns, target, block)
     explained = 1.0 - np.var(target - columns @ values) / max(np.var(target), 1e-300)
     skew = abs(values[4]) * np.std(columns[:, 4]) / max(
         abs(values[1]) * np.std(columns[:, 1]), 1e-300)
     share = np.abs(values[:3]) * np.std(columns[:, :3], axis=0) / max(np.std(target), 1e-300)
-    return MotorFit(*map(float, values[:3]), error, float(explained), float(skew), share)
+    return MotorFit(*map(float, values[:3]), error[:3], float(explained), float(skew), share)

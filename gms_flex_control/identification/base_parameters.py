@@ -14,8 +14,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from gms_flex_control.dynamics.chain import constants_of
-from gms_flex_control.identification.axis_fit import filtered, friction_regressors, robust
+from gms_flex_control.identification.axis_fit import filtered, friction_regressors
 from gms_flex_control.identification.outcome import CONFIDENT, estimated
+from gms_flex_control.identification.robust_regression import robust
 from gms_flex_control.identification.uncertainty import block_sums, root_of_inverse, unshrunk
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import RobotParams
