@@ -26,8 +26,10 @@ from numba.core import config
 from numba.extending import intrinsic, overload
 
 _PACKAGE = Path(__file__).parent
-_KERNEL_FOLDERS = ('friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
-                   'hardware')
+# what has kernels that others call
+KERNELS = ('friction.py', 'effects', 'dynamics', 'trajectory', 'control', 'simulation', 'hardware',
+           'identification/inertial_parameters.py', 'discrepancy/null_simulation.py',
+           'discrepancy/residuals.py')
 
 _POINTER = types.CPointer(types.float64)
 # signals of the joint, parameters, memory, substep
@@ -37,10 +39,10 @@ EFFECT_SIGNATURE = types.void(_POINTER, _POINTER, _POINTER, types.float64)
 def _kernel_hash(further):
     digest = hashlib.sha256(f'{numba.__version__}'.encode())
     sources = [Path(__file__)]
-    for folder in (*(_PACKAGE / name for name in _KERNEL_FOLDERS), *further):
+    for place in (*(_PACKAGE / name for name in KERNELS), *further):
         # an effect is called by address: nothing else compiles it in
-        sources += sorted(source for source in folder.rglob('*.py')
-                          if source.parent.name != 'catalogue')
+        sources += [place] if place.is_file() else sorted(
+            source for source in place.rglob('*.py') if source.parent.name != 'catalogue')
     for source in sources:
         digest.update(source.name.encode() + source.read_bytes())
     return digest.hexdigest()[:16]

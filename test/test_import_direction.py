@@ -10,6 +10,7 @@ from pathlib import Path
 import re
 
 import gms_flex_control
+from gms_flex_control.compiled import KERNELS
 from gms_flex_control.effects import registry
 import pytest
 
@@ -104,6 +105,17 @@ def modules_imported(source, module):
 def test_no_module_imports_itself_by_way_of_others():
     TopologicalSorter({module: modules_imported(path.read_text('utf-8'), module)
                        for module, path in MODULES.items()}).prepare()
+
+
+def test_a_kernel_that_others_call_is_part_of_the_name_of_their_cache():
+    """Else they stay compiled with what it was before a change."""
+    kernels = {name: text for name, path in MODULES.items()
+               if '\n@compiled\n' in (text := path.read_text(encoding='utf-8'))}
+    called = {one for name, text in kernels.items() for one in modules_imported(text, name)
+              if one in kernels}
+    assert {'friction.py', 'dynamics/vectors.py'} <= called
+    assert [name for name in called if name not in KERNELS
+            and name.partition('/')[0] not in KERNELS] == []
 
 
 @pytest.mark.parametrize(('module', 'source', 'complaint'), [
