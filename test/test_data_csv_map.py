@@ -73,7 +73,8 @@ def test_shipped_maps_load(path):
     ('time:', 'file: {header_rows: -1}\ntime:', 1, 'whole number from 0'),
     ('time:', 'resample: fast\ntime:', 1, 'must be a number'),
     ('torque:', 'link_position:', 7, 'not valid YAML'),
-    ('motor: m1', 'motor: [m1', 5, 'not valid YAML')])
+    ('motor: m1', 'motor: [m1', 5, 'not valid YAML'),
+    ('j1:', '1:', 2, 'joints.1 is no text; put it in quotes')])
 def test_a_mistake_in_a_map_is_named_with_its_line(tmp_path, old, new, line, match):
     path = tmp_path / 'map.yaml'
     assert old in GOOD

@@ -10,7 +10,7 @@ import shutil
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.bag import Bag
-from gms_flex_control.data.csv_map import read_map
+from gms_flex_control.data.csv_map import load_map
 from gms_flex_control.data.metadata import load
 from gms_flex_control.errors import BagError, ConfigError, ImportDataError
 from gms_flex_control.schema.files import load_robot
@@ -22,7 +22,7 @@ EVIL = '<script>alert(1)</script>'
 # each level stands for ten of the one before: 10^9 entries in 500 bytes
 BOMB = '\n'.join(['l0: &l0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]', *(
     f'l{k}: &l{k} [{", ".join([f"*l{k - 1}"] * 10)}]' for k in range(1, 9))])
-READERS = {'parameters': (load_robot, ConfigError), 'map': (read_map, ImportDataError),
+READERS = {'parameters': (load_robot, ConfigError), 'map': (load_map, ImportDataError),
            'metadata': (load, BagError)}
 HOSTILE = {
     'aliases': (BOMB, 'aliases'), 'nesting': ('[' * 500, 'nested too deeply'),

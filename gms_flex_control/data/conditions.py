@@ -23,14 +23,13 @@ from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.file_io import checked_yaml, write_text
 from gms_flex_control.params.arm import Body, require_body, together
+from gms_flex_control.yaml_map import read_map
 import numpy as np
 
 NAME = 'recording.yaml'
 UNKNOWN = 'unknown'
 _KEYS = ('load', 'temperature', 'torque_constant', 'coupling')
 OF_ROBOT = ('load', 'temperature')  # and not of how its efforts are recorded
-_OF_LOAD = ('mass', 'com', 'inertia')
-_OF_CONSTANT = ('value', 'sd')
 _POINT = 1e-9  # of mass times length squared: inertia of a load that is next to a point
 
 
@@ -49,19 +48,15 @@ def conditions_of(bag) -> Conditions:
     file = _file_of(bag)
     if not file.is_file():
         return Conditions()
-    data = checked_yaml(file, ConfigError, 'safe')
-    try:
-        values = _mapping(data or {}, _KEYS, '')
-        unknown = values.get('load') == UNKNOWN
-        return Conditions(
-            operation=Operation(
-                load=_load(values['load']) if 'load' in values and not unknown else None,
-                load_unknown=unknown, temperature=str(values.get('temperature', ''))),
-            torque_constant=_constants(values['torque_constant'])
-            if 'torque_constant' in values else None,
-            coupling=_coupling(values['coupling']) if 'coupling' in values else None)
-    except (ConfigError, ParameterError) as error:
-        raise ConfigError(f'{file}: {error}') from error
+    top = read_map(file, ConfigError)
+    top.only(*_KEYS)
+    unknown = top.value('load') == UNKNOWN
+    operation = Operation(load=None if unknown else _load(top.section('load')),
+                          load_unknown=unknown, temperature=str(top.value('temperature') or ''))
+    return Conditions(
+        operation=operation, torque_constant=_constants(top.section(
+            'torque_constant', example=f'{{joint1: 12.4, joint2: {UNKNOWN}}}')),
+        coupling=_coupling(top.section('coupling', example='{joint6: {joint5: 1.0}}')))
 
 
 def repeat_conditions(bag, new, keys: Sequence[str] = _KEYS, load: Body | None = None) -> None:
@@ -146,72 +141,51 @@ def _uncoupled(recording, coupling):
                    command=of_joints(recording.command))
 
 
-def _mapping(data, allowed, where):
-    """Return a mapping (dict) whose keys are allowed."""
-    if not isinstance(data, dict):
-        raise ConfigError(f'{where or "the file"} must be a mapping of {", ".join(allowed)}, '
-                          f'got {data!r}')
-    for key in data:
-        if key not in allowed:
-            raise ConfigError(f'{where and f"{where}: "}unknown key {key!r}; known are '
-                              f'{", ".join(allowed)}{did_you_mean(str(key), allowed)}')
-    return data
-
-
-def _load(data):
-    values = _mapping(data, _OF_LOAD, 'load')
-    if 'mass' not in values:
-        raise ConfigError('load lacks mass [kg]')
-    mass = _numbers(values['mass'], 1, 'load.mass')[0]
-    com = _numbers(values.get('com', [0.0] * 3), 3, 'load.com')
+def _load(node):
+    if node is None:
+        return None
+    node.only('mass', 'com', 'inertia')
+    mass, com = node.value('mass', 'number'), node.numbers('com', (0.0,) * 3)
+    if mass is None:
+        raise node.wrong("lacks 'mass' [kg]")
     if mass < 0.0:
-        raise ConfigError(f'load.mass is {mass:g} kg; give 0 for no load, or a mass above 0')
+        raise node.wrong(f'is {mass:g} kg; give 0 for no load, or a mass above 0', 'mass')
     if mass == 0.0:
         return None
-    inertia = _POINT * mass * np.eye(3)
-    if 'inertia' in values:
-        xx, xy, xz, yy, yz, zz = _numbers(values['inertia'], 6, 'load.inertia')
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        require_body('load', mass, inertia)
-    return Body(mass, com, inertia)
+    point = _POINT * mass
+    xx, xy, xz, yy, yz, zz = node.numbers('inertia', (point, 0.0, 0.0, point, 0.0, point))
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    try:
+        require_body('the load', mass, inertia)
+    except ParameterError as error:
+        raise node.wrong(f'is no body: {error}', 'inertia') from error
+    return Body(float(mass), com, inertia)
 
 
-def _coupling(data):
-    if not isinstance(data, dict) or not data or not all(
-            isinstance(one, dict) and one for one in data.values()):
-        raise ConfigError('coupling must name joints whose motor others turn as well, such as '
-                          f'{{joint6: {{joint5: 1.0}}}}, got {data!r}')
-    return {motor: {joint: _numbers(ratio, 1, f'coupling.{motor}.{joint}')[0]
-                    for joint, ratio in others.items()} for motor, others in data.items()}
+def _coupling(node):
+    if node is None:
+        return None
+    others = {motor: node.section(motor, example='{joint5: 1.0}') for motor in node.keys()}
+    return {motor: {joint: one.value(joint, 'number') for joint in one.keys()}
+            for motor, one in others.items()}
 
 
-def _constants(data):
-    if not isinstance(data, dict) or not data:
-        raise ConfigError('torque_constant must name joints, such as {joint1: 12.4, joint2: '
-                          f'{UNKNOWN}}}, got {data!r}')
-    found = {}
-    for joint, entry in data.items():
-        where = f'torque_constant.{joint}'
-        if entry is None or entry == UNKNOWN:
-            found[joint] = (1.0, math.inf)
-            continue
-        parts = _mapping(entry, _OF_CONSTANT, where) if isinstance(entry, dict) else {
-            'value': entry}
-        value, sd = (_numbers(parts.get(name, default), 1, f'{where}.{name}')[0]
-                     for name, default in (('value', math.nan), ('sd', 0.0)))
-        if value == 0.0 or sd < 0.0:
-            raise ConfigError(f'{where}: value must not be 0 and sd at least 0, got {entry!r}')
-        found[joint] = (value, sd)
-    return found
+def _constants(node):
+    return node and {joint: _constant(node, joint) for joint in node.keys()}
 
 
-def _numbers(data, count, where):
-    """Return finite numbers (count,)."""
-    entries = data if isinstance(data, list) else [data]
-    good = len(entries) == count and all(
-        isinstance(one, (int, float)) and not isinstance(one, bool) and math.isfinite(one)
-        for one in entries)
-    if not good:
-        wanted = 'a number' if count == 1 else f'{count} numbers'
-        raise ConfigError(f'{where} must be {wanted}, got {data!r}')
-    return np.array(entries, dtype=float)
+def _constant(node, joint):
+    """Return value and relative standard deviation, which is infinite where it is unknown."""
+    entry = node.value(joint)
+    if entry is None or entry == UNKNOWN:
+        return 1.0, math.inf
+    if hasattr(entry, 'keys'):
+        parts = node.section(joint)
+        parts.only('value', 'sd')
+        value, sd = parts.value('value', 'number'), parts.value('sd', 'number', 0.0)
+    else:
+        value, sd = node.value(joint, 'number'), 0.0
+    if not value or sd < 0.0:
+        raise node.wrong(f'needs a value other than 0 and an sd of at least 0, got {entry!r}',
+                         joint)
+    return value, sd

@@ -12,10 +12,10 @@ column was measured on the fast side of a gear. Every mistake is named with its 
 
 from dataclasses import dataclass, field
 import math
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple
 
-from gms_flex_control.errors import did_you_mean, ImportDataError
-from gms_flex_control.file_io import checked_yaml
+from gms_flex_control.errors import ImportDataError
+from gms_flex_control.yaml_map import read_map
 
 _TURN = 2 * math.pi
 # unit -> factor to SI; None: needs more than a factor (see import_map)
@@ -30,96 +30,6 @@ TORQUE = {'N m': 1.0, 'mN m': 1e-3, 'kN m': 1e3, 'N cm': 1e-2, 'A': None, 'mA': 
           'pwm': None, **FORCE}
 TIME = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9}
 UNITS = {'position': POSITION, 'velocity': VELOCITY, 'torque': TORQUE, 'time': TIME}
-
-
-def read_map(path) -> 'MapNode':
-    """
-    Return the MapNode of a YAML file whose top level is a mapping.
-
-    ImportDataError if it cannot be read, is no YAML or no mapping.
-    """
-    data = checked_yaml(path, ImportDataError)
-    if not hasattr(data, 'lc') or not hasattr(data, 'keys'):
-        raise ImportDataError(f'{path}: the map must be a mapping with time and joints, '
-                              f'got {type(data).__name__}')
-    return MapNode(data, str(path), '', 1)
-
-
-def _any(_):
-    return True
-
-
-# kinds of values: types and their words, what a value of them must be and its words
-_KINDS = {'text': (str, 'text in quotes', _any, ''), 'flag': (bool, 'true or false', _any, ''),
-          'column': ((str, int, float), 'a column name or number', _any, ''),
-          'whole': (int, 'a whole number from 0', lambda value: value >= 0,
-                    'a whole number from 0'),
-          'number': ((int, float), 'a number', math.isfinite, 'finite'),
-          'positive': ((int, float), 'a number', lambda value: 0.0 < value < math.inf, 'positive')}
-
-
-class MapNode:
-    """One mapping of a YAML file, which knows the line and dotted place of every mistake."""
-
-    def __init__(self, data, path, place, first_line):
-        self._data = data
-        self._path = path
-        self._place = place
-        self._line = first_line
-
-    def keys(self) -> list[str]:
-        """Return the keys in order (list of str)."""
-        return [str(key) for key in self._data]
-
-    def line(self, key=None) -> int:
-        """Return the line of ``key``, of the mapping itself by default."""
-        if key in self._data:
-            return self._data.lc.key(key)[0] + 1
-        return self._line
-
-    def wrong(self, problem, key=None) -> ImportDataError:
-        """Return an ImportDataError that names file, line and place."""
-        place = '.'.join(filter(None, [self._place, key]))
-        return ImportDataError(f'{self._path}:{self.line(key)}: {place or "the map"} {problem}')
-
-    def only(self, *known) -> None:
-        """Refuse keys other than ``known``."""
-        for key in self._data:
-            if key not in known:
-                raise self.wrong(f'is no key here{did_you_mean(key, known)}', str(key))
-
-    def section(self, key, required=False) -> Self | None:
-        """Return a nested mapping, None if it is not there."""
-        if key not in self._data:
-            if required:
-                raise self.wrong(f'lacks {key!r}')
-            return None
-        data = self._data[key]
-        if not hasattr(data, 'keys'):
-            raise self.wrong(f'must be a mapping, got {data!r}', key)
-        return MapNode(data, self._path, '.'.join(filter(None, [self._place, key])),
-                       self.line(key))
-
-    def value(self, key, kind=None, default=None) -> Any:
-        """Return the value of ``key``, of a kind of _KINDS, ``default`` if it is not there."""
-        if key not in self._data or kind is None:
-            return self._data.get(key, default)
-        value, (types, words, fits, fitting) = self._data[key], _KINDS[kind]
-        if not isinstance(value, types) or isinstance(value, bool) and types is not bool:
-            raise self.wrong(f'must be {words}, got {value!r}', key)
-        if not fits(value):
-            raise self.wrong(f'must be {fitting}, got {value}', key)
-        return next((plain(value) for plain in (str, float) if isinstance(value, plain)), value)
-
-    def unit(self, key, known, default=None) -> str:
-        """Return the name of a unit among ``known``."""
-        value = self._data.get(key, default)
-        if value is None:
-            raise self.wrong(f'lacks {key}; one of {", ".join(known)}')
-        if value not in known:
-            raise self.wrong(f'{value!r} is not usable here{did_you_mean(value, known)} '
-                             f'(one of {", ".join(known)})', key)
-        return value
 
 
 # channel -> quantity
@@ -219,7 +129,9 @@ def load_map(path) -> ImportMap:
 
     ImportDataError if it cannot be read, or a key, type, unit or combination is wrong.
     """
-    top = read_map(path)
+    top = read_map(path, ImportDataError)
+    if not top.keys():
+        raise top.wrong('must be a mapping with time and joints')
     top.only('source', 'file', 'time', 'joints', 'resample')
     joints = top.section('joints', required=True)
     if not joints.keys():
@@ -262,7 +174,7 @@ def _time(node):
     disorder = node.value('not_increasing', 'text', 'refuse')
     if disorder not in ('refuse', 'drop'):
         raise node.wrong(f"must be 'refuse' or 'drop', got {disorder!r}", 'not_increasing')
-    unit = node.unit('unit', TIME, 's' if column is None else None)
+    unit = node.choice('unit', TIME, 's' if column is None else None)
     return TimeColumn(column, unit, rate, disorder == 'drop', node.line())
 
 
@@ -295,7 +207,7 @@ def _channel(joint, key):
     if quantity == 'torque':
         values['pwm'] = Pwm(*(values.pop(name) for name in Pwm._fields))
     if 'unit' in node.keys() or 'estimate' not in node.keys():
-        values['unit'] = node.unit('unit', UNITS[quantity])
+        values['unit'] = node.choice('unit', UNITS[quantity])
     channel = Channel(name=key, quantity=quantity, line=joint.line(key), **values)
     _check(node, channel)
     return channel
