@@ -11,6 +11,7 @@ from gms_flex_control.reports.figures import (
     labelled,
     panels_of,
     side_by_side,
+    stacked_panels,
     STYLES,
     thinned,
     WIDTH,
@@ -220,9 +221,7 @@ def next_figure(plan) -> Figure:
     """Return a NextRecording: reference, and torques of each explanation less the first's."""
     runs, hypotheses = plan.best.runs, plan.beliefs.hypotheses
     joints = plan.beliefs.robot.joints
-    count = len(joints)
-    figure, panels = panels_of(count + 1, 1, (WIDTH, 1.4 + 1.5 * count), sharex=True)
-    panels = panels[:, 0]
+    figure, panels = stacked_panels(len(joints) + 1)
     rate = 1.0 / np.median(np.diff(runs[0].time))
     low_pass = butter(2, _LOW_PASS, fs=rate, output='sos')
     for j, joint in enumerate(joints):
@@ -235,16 +234,10 @@ def next_figure(plan) -> Figure:
                                label=one.words)
         panels[j + 1].set_ylabel(f'{joint} [mN m]')
     panels[0].set_ylabel('reference [rad]')
-    panels[1].set_title(f'predicted torque less that with {hypotheses[0].words}, '
-                        f'below {_LOW_PASS:g} Hz', fontsize=9)
-    panels[-1].set_xlabel('time [s]')
     for panel in panels[:2]:
-        panel.legend(frameon=False, fontsize=8)
-    for panel in panels:
-        panel.grid(color='0.9', linewidth=0.6)
-        panel.tick_params(direction='in', labelsize=8)
-        panel.set_xlim(0.0, float(np.max(runs[0].time)))
-    return figure
+        panel.legend()
+    return finished(figure, panels, 'Reference, and predicted torque less that with '
+                    f'{hypotheses[0].words}, below {_LOW_PASS:g} Hz')
 
 
 def separated_figure(found) -> Figure:
@@ -263,8 +256,8 @@ def separated_figure(found) -> Figure:
     left = [sosfiltfilt(low_pass, one, axis=0) for one in left]
     for one in left:
         one[np.tile(still, 2)] = np.nan
-    figure, panels = panels_of(len(joints), 1, (WIDTH, 0.9 + 1.7 * len(joints)), sharex=True)
-    for j, (joint, panel) in enumerate(zip(joints, panels[:, 0], strict=True)):
+    figure, panels = stacked_panels(len(joints))
+    for j, (joint, panel) in enumerate(zip(joints, panels, strict=True)):
         c = max((j, j + len(joints)), key=lambda c: sum(
             np.nansum((one[:, c] - left[0][:, c]) ** 2) for one in left))
         for k, (torque, one) in enumerate(zip(left, shown, strict=True)):
@@ -272,11 +265,6 @@ def separated_figure(found) -> Figure:
                        color=COLOURS[k % len(COLOURS)], linewidth=1.0, label=one.words)
         panel.plot(time, -1e3 * left[0][:, c], color='0.2', linewidth=0.6, label='measured')
         panel.set_ylabel(f'{joint}, {"link" if c < len(joints) else "motor"} [mN m]')
-        panel.grid(color='0.9', linewidth=0.6)
-        panel.tick_params(direction='in', labelsize=8)
-        panel.set_xlim(float(time[0]), float(time[-1]))
-    panels[0, 0].set_title(f'predicted torque less that with {shown[0].words}, below '
-                           f'{_SLOW:g} Hz', fontsize=9)
-    panels[0, 0].legend(frameon=False, fontsize=8)
-    panels[-1, 0].set_xlabel('time [s]')
-    return figure
+    panels[0].legend()
+    return finished(figure, panels, f'Predicted torque less that with {shown[0].words}, below '
+                    f'{_SLOW:g} Hz')
