@@ -4,17 +4,17 @@
 """The verbs on bag files: `info`, `record`."""
 
 from dataclasses import asdict
-import json
 import sys
 
 from gms_flex_control.cli.terminal import import_ros
+from gms_flex_control.file_io import as_json
 
 
 def info(args) -> int:
     """Print the summary of a bag; return 0, or 1 for a damaged bag."""
     from gms_flex_control.data.bag import summarise
     summary = summarise(args.bag)
-    print(json.dumps(asdict(summary), indent=2) if args.json else summary.text())
+    print(as_json(asdict(summary)) if args.json else summary.text())
     return int(bool(summary.damage))
 
 
@@ -25,7 +25,7 @@ def record(args) -> int:
                              say=(lambda _: None) if args.json else _say)
     total = sum(counts.values())
     if args.json:
-        print(json.dumps({'bag': args.out, 'messages': counts}, indent=2))
+        print(as_json({'bag': str(args.out), 'messages': counts}))
     else:
         for name, count in counts.items():
             _say(f'  {name}  {count}')

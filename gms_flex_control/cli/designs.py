@@ -30,7 +30,7 @@ from gms_flex_control.design.separation import beliefs_of, closed_loop_plan, loa
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import simulate_to_bag
-from gms_flex_control.file_io import write_text
+from gms_flex_control.file_io import as_json, write_json
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import together
 from gms_flex_control.params.gains import ControllerParams
@@ -76,7 +76,7 @@ def next_recording(args) -> int:
     if load is not None:  # to be put into the folder of the new bag
         repeat_conditions(task.bags[-1], out, OF_ROBOT, load)
     if args.json:
-        print(json.dumps(_as_dict(plan), indent=1))
+        print(as_json(_as_dict(plan)))
         return int(plan.probability < LIKELY)
     numbers = tuple(Number(
         f'{one.duration:.0f} s of {one.candidate.words}',
@@ -112,12 +112,12 @@ def _determine(report, args, out):
             duration=min(args.longest, _DETERMINED), say=say)
     trajectory, columns = write_plan(plan, out), ('so far', 'then', '')
     values = {'sentence': plan.sentence(), 'missing': plan.missing, 'duration': plan.duration,
-              'sd_before': plan.before.sd.tolist(), 'compared': [
+              'sd_before': plan.before.sd, 'compared': [
                   {'motion': one.candidate.name, 'log_determinant': one.information,
-                   'sd': one.sd.tolist()} for one in plan.compared]}
-    write_text(out / 'plan.json', json.dumps(values, indent=1) + '\n')
+                   'sd': one.sd} for one in plan.compared]}
+    write_json(out / 'plan.json', values)
     if args.json:
-        print(json.dumps(values, indent=1))
+        print(as_json(values))
         return 0
     numbers = tuple(Number(f'{name} [%]', *(f'{100.0 * sd:.2g}' for sd in pair), '')
                     for name, *pair in zip(plan.missing, plan.before.sd, plan.best.sd,
@@ -200,21 +200,21 @@ def _by_ros(task, out):
 def write_files(plan, out) -> Path:
     """Write trajectory, numbers and picture of a plan; return the path of the trajectory."""
     trajectory = write_plan(plan, out)
-    write_text(out / 'plan.json', json.dumps(_as_dict(plan), indent=1) + '\n')
+    write_json(out / 'plan.json', _as_dict(plan))
     save_figure(next_figure(plan), out / 'plan.png')
     return trajectory
 
 
-def report_separation(found, task, robot_files, out, as_json=False) -> None:
+def report_separation(found, task, robot_files, out, in_json=False) -> None:
     """Write and print what a Separation ended with."""
     values = separation_values(found)
-    write_text(out / 'separation.json', json.dumps(values, indent=1) + '\n')
+    write_json(out / 'separation.json', values)
     files = {'numbers': out / 'separation.json'}
     if found.rounds:
         save_figure(separated_figure(found), out / 'separation.png')
         files['picture'] = out / 'separation.png'
-    if as_json:
-        print(json.dumps(values, indent=1))
+    if in_json:
+        print(as_json(values))
         return
     before = (found.rounds[0].plan if found.rounds else found).beliefs
     shares = {one.effects: share for one, share in zip(before.hypotheses, before.probabilities,
@@ -230,9 +230,9 @@ def report_separation(found, task, robot_files, out, as_json=False) -> None:
 def separation_values(found) -> dict:
     """Return a Separation as plain values."""
     return {'sentence': found.sentence(), 'verdict': found.verdict, 'robot_time': found.spent,
-            'probabilities': {one.words: float(share) for one, share in zip(
+            'probabilities': {one.words: share for one, share in zip(
                 found.beliefs.hypotheses, found.beliefs.probabilities, strict=True)},
-            'log_odds': found.beliefs.odds.round(3).tolist(), 'wanted': found.wanted,
+            'log_odds': found.beliefs.odds.round(3), 'wanted': found.wanted,
             'left': [one.words for one in found.left],
             'rounds': [_as_dict(one.plan) for one in found.rounds]}
 
@@ -286,11 +286,11 @@ def _as_dict(plan):
     def of(one):
         return {'motion': one.candidate.name, 'duration': one.duration,
                 'minutes_by_hand': one.candidate.minutes,
-                'log_odds': one.odds.round(3).tolist()}
+                'log_odds': one.odds.round(3)}
     return {'sentence': plan.sentence(), 'wanted': plan.wanted,
             'explanations': [one.words for one in plan.beliefs.hypotheses],
             'best': of(plan.best), 'compared': [of(one) for one in plan.compared],
-            'refused': list(plan.refused), 'probability': plan.probability}
+            'refused': plan.refused, 'probability': plan.probability}
 
 
 def plan(args) -> int:
@@ -313,11 +313,11 @@ def plan(args) -> int:
     save_values(found.values, trajectory, comment=words)
     values = {'condition_number': found.condition, 'sinusoids': found.usual,
               'base_parameters': found.parameters, 'shares_of_limits': found.used,
-              'clearance': found.clearance if np.isfinite(found.clearance) else None,
+              'clearance': found.clearance,
               'duration': found.trajectory.end}
-    write_text(out / 'plan.json', json.dumps(values, indent=1) + '\n')
+    write_json(out / 'plan.json', values)
     if args.json:
-        print(json.dumps(values, indent=1))
+        print(as_json(values))
         return 0
     shares = [Number(f'largest {name} [% of its limit]', '-', f'{100.0 * share:.0f}', '100')
               for name, share in found.used.items()]

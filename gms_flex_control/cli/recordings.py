@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The verbs on recordings of a robot: `import-csv`, `analyse`."""
 
-import json
 from pathlib import Path
 
 from gms_flex_control.cli.terminal import conclude
@@ -41,10 +40,9 @@ def import_csv(args) -> int:
         write_text(Path(args.out) / NAME, 'torque_constant:  # N m per unit of effort\n' + ''.join(
             f'  {joint}: {UNKNOWN}\n' for joint in currents))
     if args.json:
-        print(json.dumps({
-            'bag': str(args.out), 'joints': names, 'motors': log.motors,
-            'samples': len(log.recording.time), 'duration': float(log.recording.time[-1]),
-            'remarks': log.remarks, 'suspicions': found}, indent=2))
+        print(as_json({'bag': str(args.out), 'joints': names, 'motors': log.motors,
+                       'samples': len(log.recording.time), 'duration': log.recording.time[-1],
+                       'remarks': log.remarks, 'suspicions': found}))
     else:
         lines = [log.summary(), *(f'  suspicious: {text}' for text in found)]
         words = in_currents if len(currents) == len(names) else str

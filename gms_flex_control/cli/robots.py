@@ -4,7 +4,6 @@
 """The verbs on robot files: `simulate`, `effects`, `export`, `urdf`."""
 
 from itertools import product
-import json
 from pathlib import Path
 
 from gms_flex_control.answer import command
@@ -13,7 +12,7 @@ from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from gms_flex_control.exports import mujoco, target
-from gms_flex_control.file_io import controller_file, robot_file, share_path
+from gms_flex_control.file_io import as_json, controller_file, robot_file, share_path
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.schema.files import load_limits, load_robot
 from gms_flex_control.schema.urdf import robot_urdf
@@ -49,7 +48,7 @@ def simulate(args) -> int:
             print(f'{bag}: {plan.motion}, {plan.gains.compensation}, {plan.duration:g} s, '
                   f'MSE per link [{square}]  {shown}')
     if args.json:
-        print(json.dumps(results, indent=2))
+        print(as_json(results))
         return 0
     bags = [one['bag'] for one in results]
     again = ('analyse', *bags, '--out', Path(args.out) / 'results') if several else ('view', *bags)
@@ -99,7 +98,7 @@ def effects(args) -> int:
     """Print the effects of the catalogue; return 0."""
     found = [_effect_values(registry.find(name)) for name in args.names or registry.names()]
     if args.json:
-        print(json.dumps(found, indent=2))
+        print(as_json(found))
         return 0
     for entry in found:
         print(f'{entry["name"]}: {entry["what"]}')
