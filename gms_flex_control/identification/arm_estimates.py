@@ -24,7 +24,7 @@ def base_estimates(fit: BaseFit, joints: Sequence[str]) -> list:
     for name, unit, meaning, value, described, error in zip(
             fit.names, fit.units, fit.meanings, fit.values, fit.described, fit.error, strict=True):
         known = CONFIDENT * error < _WIDE * abs(value)
-        note = f'base parameter {meaning}, {described:.4g} by the URDF'
+        note = f'base parameter {meaning}, {described:.4g} as described'
         rows[name.split('.')[0]].append(estimated(
             f'arm.{name}', unit, value, error, note if known else f'{note}; {_NOT_MOVED}',
             bool(known)))

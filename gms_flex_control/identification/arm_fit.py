@@ -4,9 +4,9 @@
 """
 The arm as recordings determine it, before and together with friction: `--estimate all`.
 
-A regression gives inertia, gravity, stiffness and motor inertia to begin with. Corrections of
-inertia and gravity are then fitted together with friction through the predictor, as further
-torques, and folded back into the arm.
+A regression gives stiffness and motor inertia, and the links: of chains by `arm_regression`. Of
+single axes it gives inertia and gravity to begin with; corrections are fitted together with
+friction through the predictor, as further torques, and folded back into the arm.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 from gms_flex_control.effects.catalogue.link import ConstantLinkTorque
 from gms_flex_control.identification.arm_differences import Differences
-from gms_flex_control.identification.arm_estimates import base_estimates as spatial_estimates
-from gms_flex_control.identification.arm_estimates import load_estimate
+from gms_flex_control.identification.arm_estimates import base_estimates, load_estimate
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.axis_fit import (
     fit_axis_with_ripple,
@@ -27,13 +26,6 @@ from gms_flex_control.identification.axis_fit import (
     SKEWED,
     spring_torque,
     STANDARD_GRAVITY,
-)
-from gms_flex_control.identification.base_parameters import (
-    base_estimates,
-    base_regressors,
-    base_values,
-    fit_chain,
-    nearest_arm,
 )
 from gms_flex_control.identification.outcome import CONFIDENT, estimated
 from gms_flex_control.identification.segments import filled, friction_by_load, Segment
@@ -65,7 +57,6 @@ class ArmFit(NamedTuple):
     motors: tuple   # MotorFit per joint, None where not fitted
     numbers: tuple  # per joint which numbers of the arm are corrected along with friction
     units: tuple    # per joint what a correction of 1 means (R,), in the unit of the number
-    has_gravity: tuple  # per joint whether gravity acts on it
     constant: np.ndarray  # (n,), torque needed at any angle and speed [N m]
     friction: tuple  # per joint its usual friction [N m], None where not looked for
     shares: tuple    # per joint the torque of its inertia, of the whole
@@ -88,14 +79,13 @@ class ArmFit(NamedTuple):
                      for j, chosen in enumerate(self.numbers))
 
     def _columns(self, joint):
-        arm, gravity = self.robot.arm, any(self.has_gravity)
         chosen, units = self.numbers[joint], self.units[joint]
 
         def extra(segment):
-            motion = filled(segment.angle), segment.rate, segment.acceleration
-            torque = (base_regressors(*motion, arm, gravity) if _is_chain(arm)
-                      else _axis_regressors(*motion))
-            return -units * torque[:, joint, chosen]
+            angle = filled(segment.angle)[:, joint]
+            torque = np.stack([segment.acceleration[:, joint], np.cos(angle), np.sin(angle),
+                               np.ones(len(angle))], axis=1)
+            return -units * torque[:, chosen]
         return extra
 
     def corrections(self, joint, theta) -> np.ndarray:
@@ -103,31 +93,19 @@ class ArmFit(NamedTuple):
         return theta[len(theta) - len(self.units[joint]):] * self.units[joint]
 
 
-def _is_chain(arm):
-    """Return whether the links act on each other."""
-    return arm.kind == 'planar' and arm.n_joints > 1
-
-
-def _axis_regressors(angle, rate, acceleration):
-    """Return the torques (T, n, 4) of inertia, cosine and sine of gravity, and a constant."""
-    return np.stack([acceleration, np.cos(angle), np.sin(angle), np.ones(angle.shape)], axis=2)
-
-
 def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     """
     Estimate the arm of recordings with joints in the robot's order.
 
-    Of the robot kind, lengths and masses of a chain are relied on.
+    Of the robot kind, and lengths and frames of a chain, are relied on.
     """
     n = robot.n_joints
     motors = tuple(fit_motor(recordings, j) if _two_sided(recordings, j) else None
                    for j in range(n))
     robot = replace(robot, arm=with_motors(robot.arm, motors))
-    if robot.arm.frames:
-        return _in_space(recordings, robot, motors)
+    if robot.arm.frames or robot.arm.kind == 'planar' and n > 1:
+        return _of_chain(recordings, robot, motors)
     drives = [_drive_of(recordings, robot.arm, j) for j in range(n)]
-    if _is_chain(robot.arm):
-        return _chain(recordings, robot, drives, motors)
     numbers, units, axes, ripples, constant, arm = [], [], [], [], np.zeros(n), robot.arm
     for j in range(n):
         rows = rows_of(recordings, drives[j], j)
@@ -145,42 +123,25 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     effects = tuple(ripple.effect(joint) for joint, ripple in zip(
         robot.joints, ripples, strict=True) if ripple)
     return ArmFit(replace(robot, arm=arm, effects=robot.effects + effects), motors,
-                  tuple(numbers), tuple(units), tuple(axis.has_gravity for axis in axes),
+                  tuple(numbers), tuple(units),
                   constant, tuple(axis.friction for axis in axes),
                   tuple(axis.share for axis in axes), tuple(ripples),
                   np.array([axis.per_load for axis in axes]))
 
 
-def _chain(recordings, robot, drives, motors):
-    n, gravity = robot.n_joints, bool(robot.arm.gravity.any())
-    arm, error = fit_chain(recordings, robot, drives)
-    units = np.maximum(_ERRORS * error, _PART * np.abs(base_values(arm, gravity)))
-    numbers = tuple(_acting(n, j, gravity) for j in range(n))
-    return ArmFit(replace(robot, arm=arm), motors, numbers,
-                  tuple(units[chosen] for chosen in numbers), (gravity,) * n, np.zeros(n),
-                  (None,) * n, (1.0,) * n, (None,) * n, np.zeros(n))
-
-
-def _in_space(recordings, robot, motors):
+def _of_chain(recordings, robot, motors):
     n, nothing = robot.n_joints, (np.zeros(0, dtype=int),) * robot.n_joints
     fit = fit_base_parameters(recordings, robot)
-    rows = spatial_estimates(fit, robot.joints)
+    rows = base_estimates(fit, robot.joints)
     for j, motor in enumerate(motors):
         if motor is not None:
             rows[j] += tuple(_motor_rows(motor, f'arm.{robot.joints[j]}', bool(
                 robot.arm.rigid[j])))
     if not fit.differences.prior_sd.any():
         rows[0] += (_SCALE,)
-    return ArmFit(replace(robot, arm=fit.arm), motors, nothing, (np.zeros(0),) * n, (True,) * n,
+    return ArmFit(replace(robot, arm=fit.arm), motors, nothing, (np.zeros(0),) * n,
                   np.zeros(n), (None,) * n, (1.0,) * n, (None,) * n, np.zeros(n), tuple(rows),
-                  fit.differences)
-
-
-def _acting(n, joint, gravity):
-    """Return which base parameters of a chain of n joints act on a joint."""
-    pairs = [(i, k) for i in range(n) for k in range(i, n)]
-    chosen = [b for b, (_, k) in enumerate(pairs) if k >= joint]
-    return np.array(chosen + [len(pairs) + i for i in range(joint, n) if gravity])
+                  fit.differences if robot.arm.frames else None)
 
 
 def _two_sided(recordings, joint):
@@ -265,11 +226,6 @@ def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence,
     numbers.
     """
     arm, effects = robot.arm, []
-    if _is_chain(arm):
-        values, covariance = _combined(arm, arm_fit, thetas, spreads)
-        return replace(robot, arm=nearest_arm(
-            arm, values, np.linalg.pinv(covariance, rcond=1e-12, hermitian=True),
-            any(arm_fit.has_gravity)))
     for j, theta in enumerate(thetas):
         inertia, cosine, sine, constant = _axis_numbers(arm, arm_fit, j, theta)
         arm = with_axis(arm, j, max(inertia, 0.1 * axis_of(arm, j)[0]), cosine, sine)
@@ -287,40 +243,13 @@ def _axis_numbers(arm, arm_fit, joint, theta):
     return values
 
 
-def _combined(arm, arm_fit, thetas, spreads):
-    """
-    Return base parameters of a chain and their covariance, all joints put together.
-
-    Each joint has corrected those that act on it; they count by their precision.
-    """
-    start = base_values(arm, any(arm_fit.has_gravity))
-    precision, right = np.zeros((len(start), len(start))), np.zeros(len(start))
-    for j, (theta, spread) in enumerate(zip(thetas, spreads, strict=True)):
-        chosen, scale = np.ix_(arm_fit.numbers[j], arm_fit.numbers[j]), arm_fit.units[j]
-        own = spread.covariance[-len(scale):, -len(scale):] * np.outer(scale, scale)
-        known = np.linalg.inv(own)
-        precision[chosen] += known
-        right[arm_fit.numbers[j]] += known @ arm_fit.corrections(j, theta)
-    covariance = np.linalg.inv(precision)
-    return start + covariance @ right, covariance
-
-
 def arm_estimates(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence,
                   spreads: Sequence) -> list[tuple]:
     """Return the Estimates of the arm, a tuple per joint, those of the whole with the first."""
     rows = [[] for _ in thetas]
-    if _is_chain(robot.arm):
-        values, covariance = _combined(robot.arm, arm_fit, thetas, spreads)
-        determined = np.zeros(len(values))
-        for numbers, spread in zip(arm_fit.numbers, spreads, strict=True):
-            determined[numbers] = np.maximum(determined[numbers],
-                                             spread.determined[-len(numbers):])
-        rows[0] += base_estimates(values, covariance, determined, robot.n_joints,
-                                  any(arm_fit.has_gravity))
     for j, (theta, spread) in enumerate(zip(thetas, spreads, strict=True)):
         name = f'arm.{robot.joints[j]}'
-        if not _is_chain(robot.arm):
-            rows[j] += _axis_rows(robot, arm_fit, j, theta, spread, name)
+        rows[j] += _axis_rows(robot, arm_fit, j, theta, spread, name)
         if arm_fit.motors[j] is not None:
             rows[j] += _motor_rows(arm_fit.motors[j], name, bool(robot.arm.rigid[j]))
     rows[0].append(_SCALE)

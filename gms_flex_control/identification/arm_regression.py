@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Base parameters of an arm of a URDF from recordings, by weighted least squares on the regressor.
+Base parameters of an arm from recordings, by weighted least squares on the regressor.
 
     torque = scale (known + regressor parameters + tip load + slope zero) + friction + offset
 
@@ -29,18 +29,23 @@ from gms_flex_control.identification.arm_differences import (
     Unknowns,
 )
 from gms_flex_control.identification.arm_rows import rows_of
-from gms_flex_control.identification.base_parameters import block_scores, regress, weighting_of
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     Base,
     base_of,
     body_of,
+    IN_PLANE,
     meaning_of,
     names_of,
     nearest_arm,
     UNITS,
 )
-from gms_flex_control.identification.robust_regression import robust
+from gms_flex_control.identification.robust_regression import (
+    block_scores,
+    regress,
+    robust,
+    weighting_of,
+)
 from gms_flex_control.identification.segments import drive_sides, rigid_where
 from gms_flex_control.identification.uncertainty import (
     block_sums,
@@ -48,7 +53,7 @@ from gms_flex_control.identification.uncertainty import (
     inverse_of,
     memory_of,
 )
-from gms_flex_control.params.arm import ArmParams, at_end, carrying
+from gms_flex_control.params.arm import ArmParams, at_end, carrying, in_space
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -74,11 +79,11 @@ class BaseFit(NamedTuple):
     units: tuple             # (B,)
     meanings: tuple          # (B,), the sum it stands for
     values: np.ndarray       # (B,)
-    described: np.ndarray    # (B,), of the URDF
+    described: np.ndarray    # (B,), of the robot file
     covariance: np.ndarray   # (B, B)
     condition: float         # of the regressor, columns scaled
     offset: np.ndarray       # (n,), half of what forward and backward friction differ by [N m]
-    arm: ArmParams           # nearest to the URDF
+    arm: ArmParams           # nearest to the described one
     differences: Differences
 
     @property
@@ -88,20 +93,21 @@ class BaseFit(NamedTuple):
 
 
 def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> BaseFit:
-    """Estimate the base parameters of a robot of kind urdf, joints in its order."""
+    """Estimate the base parameters of a chain in space or in a plane, joints in its order."""
     arm, sides = _driven(recordings, robot)
     if all(one.operation.load_unknown for one in recordings):
         raise IdentificationError(
             f'{recordings[0].source}: the load of every recording is unknown, which cannot be '
             'separated from the last link: add a recording without a load or with a known one, or '
             'rely on the links of the URDF (without --estimate all)')
-    base = base_of(arm, recordings[0].coupling)
+    base = (base_of(arm, numbers=IN_PLANE) if robot.arm.frames is None
+            else base_of(arm, recordings[0].coupling))
     fit = _Fit(recordings, robot, sides, arm, base)
     fit.solve()
     found = fit.nearest()
     if len(recordings) > 1:  # slopes by zeros are of the arm found
         loads = {r: one.body for r, one in fit.loads().items()}
-        fit = _Fit(recordings, robot, sides, arm, base, slopes_of=found, loads=loads)
+        fit = _Fit(recordings, robot, sides, arm, base, slopes_of=in_space(found), loads=loads)
         fit.solve()
         found = fit.nearest()
     return fit.result(robot, found)
@@ -121,7 +127,7 @@ def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Diff
 
 def _driven(recordings, robot):
     sides = drive_sides(recordings[0], robot)
-    return rigid_where(robot, sides).arm, sides
+    return in_space(rigid_where(robot, sides).arm), sides
 
 
 class _Regression(NamedTuple):
@@ -342,7 +348,7 @@ class _Fit:
         return found
 
     def nearest(self) -> ArmParams:
-        """Return the arm nearest to the URDF that has the base parameters."""
+        """Return the arm nearest to the described one that has the base parameters."""
         links = self._layout.links
         covariance, inverse = (one[links, links] for one in self._covariance)
         normal = self._last.normal

@@ -2,14 +2,14 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Inertial parameters of an arm of a URDF, their base parameters, and the arm nearest to these.
+Inertial parameters of an arm, their base parameters, and the arm nearest to these.
 
 The torque that moves links is linear in ten numbers of each (mass, first moment, inertia about its
 frame) and in the motor inertia of rigid joints. Motion determines only some combinations of them,
 the base parameters: column-pivoted QR of the regressor along random motion names one number for
 each, and how the others join it (Gautier 1991). The arm nearest to its URDF that has given base
 parameters is a change of the Cholesky factor of each link's pseudo-inertia, so that every link
-stays a body (Rucker and Wensing 2022).
+stays a body (Rucker and Wensing 2022); of a planar chain, of masses, centres of mass and inertias.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.dynamics import vectors as vec
 from gms_flex_control.identification.uncertainty import inverse_of
-from gms_flex_control.params.arm import ArmParams, Body
+from gms_flex_control.params.arm import ArmParams, Body, in_space
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares
@@ -33,6 +33,7 @@ _POSES = 200        # of random motion, more than enough for the rank
 _SAME = 1e-8        # of the largest diagonal element of R: rank
 _SLIGHT = 1e-6      # of a coefficient that is not worth a word
 _POINT = 1e-9       # of mass times length squared: next to a point [m^2]
+IN_PLANE = (0, 1, 9)  # of ten numbers: mass, centre of mass along the link, inertia about z
 _PRIOR_SD = 0.3     # of a change of a Cholesky factor, and of the logarithm of motor inertia
 
 
@@ -151,17 +152,19 @@ class Base(NamedTuple):
     combination: np.ndarray  # (B, P), their change per unit of each parameter
 
 
-def base_of(arm: ArmParams, coupling=None) -> Base:
+def base_of(arm: ArmParams, coupling=None, numbers: Sequence[int] = range(10)) -> Base:
     """
     Return the base parameters that motion determines.
 
-    By the regressor along random motion in the ranges of the joints.
+    By the regressor along random motion in the ranges of the joints. ``numbers`` are those of
+    each link's ten that may be other than described.
     """
     rng, shape = np.random.default_rng(0), (_POSES, arm.n_joints)
     regressor = link_regressors(chain.configurations(arm, _POSES), rng.standard_normal(shape),
                                 3.0 * rng.standard_normal(shape), arm, coupling)
     table = regressor.reshape(-1, regressor.shape[2])
     size = np.linalg.norm(table, axis=0)
+    size[:10 * arm.n_joints] *= np.tile(np.isin(np.arange(10), numbers), arm.n_joints)
     scaled = table / np.where(size > _SAME * size.max(), size, np.inf)
     upper, order = qr(scaled, mode='r', pivoting=True)
     rank = int(np.sum(np.abs(np.diag(upper)) > _SAME * abs(upper[0, 0])))
@@ -195,40 +198,62 @@ def meaning_of(row: np.ndarray, names: Sequence[str]) -> str:
 def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, normal, covariance
                 ) -> ArmParams:
     """
-    Return the arm nearest to its URDF that has base parameters ``values`` (B,), links bodies.
+    Return the arm nearest to the described one that has base parameters ``values`` (B,).
 
-    ``combination`` (B, P) is that of `base_of` for ``arm``, which is ``described`` with joints
-    rigid that their motor drives; ``normal`` and ``covariance`` (B, B) say how sure values are.
+    Its links are bodies; a planar chain stays one. ``combination`` (B, P) is that of `base_of`
+    for ``arm``, which is ``described`` in space with joints rigid that their motor drives;
+    ``normal`` and ``covariance`` (B, B) say how sure values are.
     """
-    n, rigid = arm.n_joints, arm.rigid
+    rigid = arm.rigid
     wider = np.sqrt(np.diag(covariance) / np.diag(inverse_of(normal)))
     root = np.linalg.cholesky(normal / np.outer(wider, wider)
                               + 1e-12 * np.diag(np.diag(normal))).T
+    size, links, changed = (_of_plane if described.frames is None else _of_bodies)(described, arm)
+
+    def motors(x):
+        return arm.motor_inertia[rigid] * np.exp(x[size:])
+
+    def residual(x):
+        off = combination @ np.concatenate([links(x[:size]).ravel(), motors(x)]) - values
+        return np.concatenate([root @ off, x / _PRIOR_SD])
+    x = least_squares(residual, np.zeros(size + rigid.sum()), x_scale=_PRIOR_SD).x
+    motor = described.motor_inertia.copy()
+    motor[rigid] = motors(x)
+    return replace(changed(x[:size]), motor_inertia=motor)
+
+
+def _of_bodies(described, arm):
+    """Return how many numbers change links in space; links (n, 10) and arm as functions of x."""
+    n = arm.n_joints
     factors = [np.linalg.cholesky(_pseudo_inertia(one)) for one in
                inertial_parameters(arm).reshape(n, 10)]
     lower = np.tril_indices(4)
 
     def links(x):
         found = []
-        for factor, change in zip(factors, x[:10 * n].reshape(n, 10), strict=True):
+        for factor, change in zip(factors, x.reshape(n, 10), strict=True):
             step = np.zeros((4, 4))
             step[lower] = change
             step[np.diag_indices(4)] = np.exp(np.diag(step))
             found.append(_parameters(factor @ step @ step.T @ factor.T))
         return np.array(found)
-
-    def motors(x):
-        return arm.motor_inertia[rigid] * np.exp(x[10 * n:])
-
-    def residual(x):
-        off = combination @ np.concatenate([links(x).ravel(), motors(x)]) - values
-        return np.concatenate([root @ off, x / _PRIOR_SD])
-    x = least_squares(residual, np.zeros(10 * n + rigid.sum()), x_scale=_PRIOR_SD).x
-    return with_parameters(described, links(x), motors(x), rigid)
+    return 10 * n, links, lambda x: with_parameters(described, links(x))
 
 
-def with_parameters(arm: ArmParams, links: np.ndarray, motors=(), rigid=None) -> ArmParams:
-    """Return an arm with inertial parameters (n, 10) of its links, ``motors`` of rigid joints."""
+def _of_plane(described, arm):
+    """Return the same of links whose centres of mass lie on the way to the next joint."""
+    reach = np.maximum(described.length, np.abs(described.com))
+
+    def changed(x):
+        mass, com, inertia = x.reshape(3, arm.n_joints)
+        return replace(described, mass=described.mass * np.exp(mass),
+                       com=described.com + reach * com,
+                       inertia=described.inertia * np.exp(inertia))
+    return 3 * arm.n_joints, lambda x: inertial_parameters(in_space(changed(x))), changed
+
+
+def with_parameters(arm: ArmParams, links: np.ndarray) -> ArmParams:
+    """Return an arm with inertial parameters (n, 10) of its links."""
     mass, com = links[:, 0], links[:, 1:4] / links[:, :1]
     rows, columns = np.triu_indices(3)
     about = np.empty((len(links), 3, 3))
@@ -236,10 +261,7 @@ def with_parameters(arm: ArmParams, links: np.ndarray, motors=(), rigid=None) ->
     square = np.einsum('ia,ib->iab', com, com)
     inertia = about - mass[:, None, None] * (
         np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(3) - square)
-    motor = arm.motor_inertia.copy()
-    if rigid is not None:
-        motor[rigid] = motors
-    return replace(arm, mass=mass, com=com, inertia=inertia, motor_inertia=motor)
+    return replace(arm, mass=mass, com=com, inertia=inertia)
 
 
 def body_of(parameters: np.ndarray) -> Body:

@@ -3,13 +3,17 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Linear regression that a few odd rows do not bend (Huber), with errors by blocks of time."""
 
-from gms_flex_control.identification.uncertainty import block_sums
+from collections.abc import Callable, Sequence
+
+from gms_flex_control.identification.uncertainty import block_sums, root_of_inverse, unshrunk
 import numpy as np
 
 _HUBER = 1.5       # residuals beyond this many standard deviations count less
 _ROUNDS = 8
 _OWN_SCALE = 50    # rows from which a group has a scale of its own: its median is within 15 %
 _FOLDS = 5
+_SLOWEST = 0.05    # of the usual rate: below this a joint does not move
+_SAME = 1e-9       # of the largest singular value: no column of its own
 
 
 def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = None) -> tuple:
@@ -70,3 +74,66 @@ def held_out_error(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -
                                      rcond=1e-10)[0]
             off[out] = target[out] - columns[out] @ values
     return float(np.mean(np.abs(off)))
+
+
+def regress(regressors, torque, rate, block, friction: Callable, precision=0.0, pull=0.0,
+            weighting=None) -> tuple:
+    """
+    Return weighted least squares of the torque (S, n) of all joints on regressors (S, n, B).
+
+    Each joint counts by its own noise, robustly, where it moves at ``rate`` (S, n); its friction,
+    columns ``friction(joint, rows)``, is eliminated. ``precision`` (B,) is that of priors at
+    ``pull`` (B,); ``weighting`` is that of `weighting_of` unless given. The values (B,), their
+    normal matrix (B, B) and, for each joint, regressors, torque, numbers of blocks of time and an
+    orthonormal basis of what was eliminated, scaled.
+    """
+    count = regressors.shape[2]
+    normal = np.diag(np.broadcast_to(precision, count).astype(float))
+    right = normal @ np.broadcast_to(pull, count)
+    pieces = []
+    for j, (rows, root) in enumerate(weighting or weighting_of(regressors, torque, rate,
+                                                               friction)):
+        basis, size, _ = np.linalg.svd(friction(j, rows) * root[:, None], full_matrices=False)
+        basis = basis[:, size > _SAME * size[:1]]
+        scaled, target = regressors[rows, j] * root[:, None], torque[rows, j] * root
+        scaled = scaled - basis @ (basis.T @ scaled)
+        target = target - basis @ (basis.T @ target)
+        normal += scaled.T @ scaled
+        right += scaled.T @ target
+        pieces.append((scaled, target, block[rows], basis))
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values = np.linalg.lstsq(normal / np.outer(size, size), right / size, rcond=1e-10)[0] / size
+    return values, normal, pieces
+
+
+def block_scores(pieces: Sequence, values: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Return the `unshrunk` scores (blocks, B) at ``values`` of what `regress` returns."""
+    half, count = root_of_inverse(normal), 1 + max(block.max() for _, _, block, _ in pieces)
+    at = own = len(half)
+    total = at + sum(basis.shape[1] for *_, basis in pieces)
+    scores, share = np.zeros((count, total)), np.zeros((count, total, total))
+    for scaled, target, block, basis in pieces:
+        columns, left = np.concatenate([scaled @ half, basis], axis=1), target - scaled @ values
+        places = np.r_[:own, at:at + basis.shape[1]]
+        at += basis.shape[1]
+        for k in np.unique(block):
+            rows = columns[block == k]
+            scores[k, places] += rows.T @ left[block == k]
+            share[k][np.ix_(places, places)] += rows.T @ rows
+    return np.linalg.solve(half.T, unshrunk(scores, share)[:, :own].T).T
+
+
+def weighting_of(regressors, torque, rate, friction: Callable, group=None) -> list:
+    """
+    Return for each joint where it moves (S,) and the roots of the weights there.
+
+    Each ``group`` (S,) of rows, such as a recording, counts by its own noise.
+    """
+    found = []
+    for j in range(torque.shape[1]):
+        rows = np.abs(rate[:, j]) > _SLOWEST * np.sqrt(np.mean(rate[:, j] ** 2))
+        columns = np.concatenate([regressors[rows, j], friction(j, rows)], axis=1)
+        columns = columns[:, columns.any(axis=0)]
+        weights, scale = robust(columns, torque[rows, j], None if group is None else group[rows])
+        found.append((rows, np.sqrt(weights) / scale))
+    return found

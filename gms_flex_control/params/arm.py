@@ -27,6 +27,7 @@ _OF_LINEAR = ((r'\bkg m\^2', 'kg'), (r'\b([mk]?N) m\b', r'\1'), (r'\bmrad\b', 'm
 # of axes whose efforts are currents of unknown torque constant, after these
 _OF_CURRENT = ((r'\bkg m\^2', 'A s^2/rad'), (r'\bkg\b', 'A s^2/m'), (r'\bmN( m)?\b', 'mA'),
                (r'\bkN( m)?\b', 'kA'), (r'\bN( m)?\b', 'A'))
+_POINT = 1e-9     # of a mass, and of an inertia, that is next to none [kg], [kg m^2]
 _ROUNDING = 1e-3  # of a principal moment of inertia: files round their numbers
 
 
@@ -183,6 +184,22 @@ class ArmParams:
     def rigid(self) -> np.ndarray:
         """Return which joints have no motor side of their own, bool (n_joints,)."""
         return np.isinf(self.stiffness)
+
+
+def in_space(arm: ArmParams) -> ArmParams:
+    """Return a planar chain as one in space, every joint's axis z; one in space as it is."""
+    if arm.frames is not None:
+        return arm
+    n, along = arm.n_joints, np.eye(3)[0]
+    everywhere = np.full(n, np.inf)
+    frames = Frames(
+        rotation=np.tile(np.eye(3), (n, 1, 1)), prismatic=np.zeros(n),
+        position=np.outer(np.append(0.0, arm.length[:-1]), along), lower=-everywhere,
+        upper=everywhere, velocity=everywhere, effort=everywhere)
+    about_z = np.maximum(arm.inertia, _POINT)
+    return replace(arm, kind='urdf', frames=frames, length=np.zeros(n), com=np.outer(
+        arm.com, along), mass=np.maximum(arm.mass, _POINT), gravity=np.append(arm.gravity, 0.0),
+        inertia=about_z[:, None, None] * np.diag([0.5, 0.5, 1.0]))
 
 
 def require_body(name: str, mass: float, inertia: np.ndarray) -> None:
