@@ -92,13 +92,15 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
             found, worths = pruned(likelihood, dropped(likelihood, found, hardly))
             continue
         energy = held_out.energy(found.best)
-        if len(worths) == 1:
+        fewer = {one.index: held_out.energy(one.rest) for one in worths if len(worths) > 1}
+        # what has stood beside it may fall with it, and another take its place: the end counts
+        ends = (pruned(likelihood, dropped(likelihood, found, index)) for index in sorted(
+            fewer, key=fewer.get) if CLEARLY * fewer[index] <= energy)
+        better = next((end for end in ends if CLEARLY * held_out.energy(end[0].best) <= energy),
+                      None)
+        if better is None:
             break
-        without_each = {one.index: held_out.energy(one.rest) for one in worths}
-        worst = min(without_each, key=without_each.get)
-        if CLEARLY * without_each[worst] > energy:
-            break
-        found, worths = pruned(likelihood, dropped(likelihood, found, worst))
+        found, worths = better
     return _alone(likelihood, found, worths, held_out)
 
 
