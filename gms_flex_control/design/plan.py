@@ -37,7 +37,7 @@ _MINUTE = 60.0         # [s]
 PACES = tuple(1.25 ** k for k in range(8))  # that are tried until all limits are kept
 _ENOUGH = 0.8          # probability of leaving one: the shortest motion with it is recorded
 _PROMISING = 0.9       # probability of leaving one in the shortest time: no other is looked for
-_SIMULATED = 3         # motions at most of which longer ones are simulated
+_SIMULATED = 6         # longer motions that are simulated at most: few keep what they promise
 LIKELY = 0.5           # probability from which a motion is said to separate
 HOPELESS = 0.02        # probability of leaving one below which nothing more is recorded,
 FORESEEN = 2           # once so many motions were: the first recordings foresee badly
@@ -141,14 +141,21 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
     found.sort(key=lambda one: choice(one, lengths)[0], reverse=True)
     best = max(found, key=lambda one: choice(one, [first])[0])
     worth = choice(best, [first])
-    for one in found[:_SIMULATED]:  # what a longer motion is worth is simulated
+    ahead, simulated = list(found), 0
+    while ahead and simulated < _SIMULATED:  # what a longer motion is worth is simulated
+        one = max(ahead, key=lambda one: choice(one, lengths)[0])
         promised, _, length = choice(one, lengths)
         if promised <= worth[0]:
             break
         say(f'{one.candidate.words}, {length:.0f} s')
-        longer = one if length == first else predicted(beliefs, one.candidate, length, loop)
-        if longer is not None and choice(longer, [length])[0] > worth[0]:
-            best, worth = longer, choice(longer, [length])
+        ahead.remove(one)
+        simulated += 1
+        longer = one if length == one.duration else predicted(
+            beliefs, one.candidate, length, loop)
+        if longer is not None:
+            ahead.append(longer)  # which foresees a still longer one better
+            if choice(longer, [length])[0] > worth[0]:
+                best, worth = longer, choice(longer, [length])
     return NextRecording(beliefs=beliefs, wanted=wanted, best=best, probability=worth[1],
                          compared=tuple(found), refused=tuple(refused))
 
