@@ -5,9 +5,11 @@
 
 from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, likelihood_of, retuned_of
+from gms_flex_control.discrepancy import findings
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.fitting import extended, fit
 from gms_flex_control.discrepancy.gap import (
@@ -168,3 +170,22 @@ def test_a_delay_and_a_lag_are_told_apart_in_a_closed_loop(seed, effect):
     first = result.findings[0]
     assert (first.effect, first.joint) == (effect, hidden.joint)
     assert next(iter(first.parameters.values())) == pytest.approx(hidden.values[0], rel=0.05)
+
+
+@pytest.mark.parametrize(('end', 'kept'), [(3.0, 'both'), (0.5, 'end')])
+def test_an_effect_is_dropped_only_where_all_that_falls_with_it_is_no_loss(end, kept,
+                                                                           monkeypatch):
+    """Without the first the energy is half, until the second, which has stood beside it, falls."""
+    energies = {'both': 1.0, 'without first': 0.5, 'without second': 2.0, 'end': end}
+    effects = (SimpleNamespace(name='input_delay'), SimpleNamespace(name='torque_ripple'))
+
+    def found(name):
+        robot = SimpleNamespace(robot=SimpleNamespace(effects=effects))
+        return SimpleNamespace(best=SimpleNamespace(name=name, model=robot), tried=())
+    worths = [SimpleNamespace(index=k, rest=SimpleNamespace(name=f'without {word}'))
+              for k, word in enumerate(('first', 'second'))]
+    monkeypatch.setattr(findings, 'dropped', lambda likelihood, found, index: index)
+    monkeypatch.setattr(findings, 'pruned', lambda likelihood, index: (found('end'), []))
+    left, _ = findings.predictive(None, found('both'), worths, SimpleNamespace(
+        energy=lambda state: energies[state.name]))
+    assert left.best.name == kept
