@@ -11,10 +11,13 @@ from gms_flex_control.cli.main import main
 from gms_flex_control.data.conditions import (
     Conditions,
     conditions_of,
+    NAME,
     OF_ROBOT,
     repeat_conditions,
     with_conditions,
+    with_found,
 )
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.discrepancy.motion import motion_of
@@ -22,6 +25,7 @@ from gms_flex_control.discrepancy.result import BAD_DATA
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.errors import BagError, ConfigError, IdentificationError
 from gms_flex_control.identification.identify import identify
+from gms_flex_control.params.arm import Body
 from gms_flex_control.schema.files import save_robot
 from identified_axis import axis, experiment
 import numpy as np
@@ -113,6 +117,41 @@ def test_a_known_constant_makes_torques(amperes, tmp_path):
     partly = with_conditions(amperes, stated(
         tmp_path, 'torque_constant: {joint1: {value: 0.06, sd: 0.2}}\n'))
     np.testing.assert_array_equal(partly.scale_sd, 0.2)
+
+
+def test_what_is_stated_beside_a_bag_is_read_with_it(amperes, tmp_path):
+    """A joint that is left out may be named; one that the bag lacks may not."""
+    write_recording(tmp_path / 'bag', amperes, ('',))
+    file = tmp_path / 'bag' / NAME
+    file.write_text(f'torque_constant: {{joint1: {CONSTANT}}}\n')
+    np.testing.assert_allclose(read_recording(tmp_path / 'bag').tau_motor,
+                               experiment(rigid=True)[0].tau_motor, rtol=1e-12)
+    two = replace(amperes, joints=('a', 'joint1'), **{
+        name: np.repeat(getattr(amperes, name), 2, axis=1) for name in (
+            'q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command',
+            'friction_hat')}, reference=np.full((len(amperes.time), 5, 2), np.nan), scale_sd=0.0)
+    write_recording(tmp_path / 'two', two, ('', ''))
+    (tmp_path / 'two' / NAME).write_text(f'torque_constant: {{a: 2, joint1: {CONSTANT}}}\n')
+    assert read_recording(tmp_path / 'two', ['a']).tau_motor[5, 0] == pytest.approx(
+        2.0 * amperes.tau_motor[5, 0])
+    (tmp_path / 'two' / NAME).write_text('torque_constant: {b: 2}\n')
+    with pytest.raises(ConfigError, match="names 'b', the recording has a"):
+        read_recording(tmp_path / 'two', ['a'])
+
+
+def test_found_constants_and_loads_are_written_for_the_next_command(tmp_path):
+    """Constants as stated times what was found; what else the file says stays."""
+    (tmp_path / NAME).write_text(
+        'temperature: warm\ntorque_constant: {a: {value: 2, sd: 0.1}, b_motor: unknown, c: 5}\n')
+    load = Body(3.0, np.array([0.1, 0.0, 0.2]), np.diag([0.1, 0.2, 0.15]))
+    text = with_found(tmp_path, {'a': (1.5, 0.01), 'b': (7.0, 0.02)}, load,
+                      {'a': '', 'b': 'b_motor'})
+    (tmp_path / NAME).write_text(text)
+    again = conditions_of(tmp_path)
+    assert again.torque_constant == {'c': (5, 0.0), 'a': (3.0, 0.01), 'b': (7.0, 0.02)}
+    assert again.operation.temperature == 'warm' and not again.operation.load_unknown
+    for one, other in zip(again.operation.load, load, strict=True):
+        np.testing.assert_allclose(one, other)
 
 
 def test_a_load_is_a_body_in_the_frame_at_the_end_of_the_arm(tmp_path):

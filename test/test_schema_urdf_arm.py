@@ -22,6 +22,7 @@ from gms_flex_control.errors import (
 from gms_flex_control.experiment.simulated import run_plan
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.schema.files import load_robot_to_identify
 from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.simulation import plant
@@ -234,6 +235,19 @@ def test_the_chain_is_chosen_by_joints_base_and_tip(tmp_path):
             read_links(path, joints, **options)
     with pytest.raises(ConfigError, match='cannot be read .No such file.*relative to the robot'):
         read_links(tmp_path / 'none.urdf', ('j1',))
+
+
+def test_a_fixed_link_with_a_shape_alone_weighs_nothing(tmp_path):
+    """As flanges and tool frames of many URDFs; the robot file may leave motor sides out."""
+    flange = ('<link name="flange"><collision/></link><joint name="end" type="fixed">'
+              '<parent link="b"/><child link="flange"/></joint>')
+    (tmp_path / 'arm.urdf').write_text(two(more=flange))
+    np.testing.assert_array_equal(read_links(tmp_path / 'arm.urdf', ('j1', 'j2')).mass, 1.0)
+    (tmp_path / 'robot.yaml').write_text(
+        '/**: {ros__parameters: {joints: [j1, j2], motors: ["", ""], '
+        'arm: {kind: urdf, urdf: arm.urdf, gravity_vector: [0.0, 0.0, -9.81]}}}')
+    arm = load_robot_to_identify(tmp_path / 'robot.yaml').arm
+    assert arm.rigid.all() and not arm.motor_inertia.any()
 
 
 @pytest.mark.parametrize(('old', 'new', 'sentence'), [

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
-from gms_flex_control.data.conditions import conditions_of, with_conditions
 from gms_flex_control.data.reader import joint_names, read_experiment
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import ConfigError
@@ -47,6 +46,7 @@ def _written(args, options, progress):
                     described=described)
     out = Path(args.out)
     output.write_friction(found, out / 'friction.yaml')
+    output.write_conditions(found, out)
     output.write_report_json(found, out / 'report.json')
     write_identification_report(found, out, robot=args.robot or ())
     return found
@@ -71,14 +71,8 @@ def _robot_of(args):
 
 
 def read_experiment_of(path, robot, guess_motors: bool = False) -> tuple:
-    """
-    Return a bag as (Recording, phases), motors by their names in the bag if to be guessed.
-
-    With what its recording.yaml states.
-    """
-    motors = None if guess_motors else motors_in(path, robot)
-    recording, phases = read_experiment(path, robot.joints, motors)
-    return with_conditions(recording, conditions_of(path), motors or ()), phases
+    """Return a bag as (Recording, phases), motors by their names in the bag if to be guessed."""
+    return read_experiment(path, robot.joints, None if guess_motors else motors_in(path, robot))
 
 
 def motors_in(path, robot) -> tuple[str, ...]:

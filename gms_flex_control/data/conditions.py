@@ -8,12 +8,12 @@ It stands in ``recording.yaml`` in the folder of the bag, ``my_bag.recording.yam
 that is a single file:
 
     load: {mass: 5.0, com: [0.0, 0.0, 0.08], inertia: [0.02, 0.0, 0.0, 0.02, 0.0, 0.01]}
-    temperature: cold                        # load: unknown is something to be found
+    temperature: cold         # load: unknown is to be found, of {mass: 5.0} all but its mass
     torque_constant: {joint1: 12.4, joint2: {value: 9.1, sd: 0.05}, joint3: unknown}
     coupling: {joint6: {joint5: 1.0}}        # the motor of joint6 turns with joint6 + 1.0 joint5
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import json
 import math
@@ -45,16 +45,19 @@ class Conditions:
 
 def conditions_of(bag) -> Conditions:
     """Return the Conditions of a bag; ConfigError if its file is wrong."""
-    file = _file_of(bag)
+    file = file_of(bag)
     if not file.is_file():
         return Conditions()
     top = read_map(file, ConfigError)
     top.only(*_KEYS)
-    unknown = top.value('load') == UNKNOWN
-    operation = Operation(load=None if unknown else _load(top.section('load')),
-                          load_unknown=unknown, temperature=str(top.value('temperature') or ''))
+    whole = top.value('load') == UNKNOWN
+    load = None if whole else top.section('load')
+    body = _load(load)
     return Conditions(
-        operation=operation, torque_constant=_constants(top.section(
+        operation=Operation(
+            load=body, load_unknown=whole or body is not None and load.value('com') is None,
+            temperature=str(top.value('temperature') or '')),
+        torque_constant=_constants(top.section(
             'torque_constant', example=f'{{joint1: 12.4, joint2: {UNKNOWN}}}')),
         coupling=_coupling(top.section('coupling', example='{joint6: {joint5: 1.0}}')))
 
@@ -65,7 +68,7 @@ def repeat_conditions(bag, new, keys: Sequence[str] = _KEYS, load: Body | None =
 
     A ``load`` is carried beside that of the other.
     """
-    file = _file_of(bag)
+    file = file_of(bag)
     known = (checked_yaml(file, ConfigError, 'safe') or {}) if file.is_file() else {}
     values = {key: value for key, value in known.items() if key in keys}
     if load is not None:
@@ -73,22 +76,48 @@ def repeat_conditions(bag, new, keys: Sequence[str] = _KEYS, load: Body | None =
         values['load'] = {'mass': float(whole.mass), 'com': whole.com.tolist()} | (
             {'inertia': whole.inertia[np.triu_indices(3)].tolist()} if whole.inertia.any() else {})
     if values:
-        write_text(_file_of(new), json.dumps(values, default=str) + '\n')  # which is YAML
+        write_text(file_of(new), json.dumps(values, default=str) + '\n')  # which is YAML
 
 
-def _file_of(bag):
+def with_found(bag, constants: Mapping, load: Body | None, motors: Mapping) -> str:
+    """
+    Return what the file of a bag says once torque constants and a load have been found.
+
+    ``constants`` has by joint the true constant over the one stated and its relative standard
+    deviation; ``motors`` are names by which the file may know the joints.
+    """
+    file = file_of(bag)
+    values = (checked_yaml(file, ConfigError, 'safe') or {}) if file.is_file() else {}
+    stated = conditions_of(bag).torque_constant or {}
+    known = dict(values.get('torque_constant', {}))
+    for joint, (factor, sd) in constants.items():
+        names = joint, motors.get(joint, '')
+        before = next((stated[name][0] for name in names if name in stated), 1.0)
+        known = {name: entry for name, entry in known.items() if name not in names} | {
+            joint: {'value': float(f'{before * factor:.5g}'), 'sd': float(f'{sd:.2g}')}}
+    if known:
+        values['torque_constant'] = known
+    if load is not None:
+        values['load'] = {'mass': float(load.mass), 'com': load.com.tolist(),
+                          'inertia': load.inertia[np.triu_indices(3)].tolist()}
+    return ''.join(f'{key}: {json.dumps(entry, default=str)}\n' for key, entry in values.items())
+
+
+def file_of(bag) -> Path:
+    """Return where the conditions of a bag stand, whether they do or not."""
     path = Path(bag)
     return path / NAME if path.is_dir() else path.with_name(f'{path.stem}.{NAME}')
 
 
-def with_conditions(recording: Recording, conditions: Conditions,
-                    motors: Sequence[str] = ()) -> Recording:
+def with_conditions(recording: Recording, conditions: Conditions, motors: Sequence[str] = (),
+                    others: Sequence[str] = ()) -> Recording:
     """
     Return a recording with what is known of it; efforts of known constants become torques [N m].
 
     Those of motors that several joints turn become torques of the joints.
 
-    ``motors`` are further names by which constants may be given, in the order of the joints.
+    ``motors`` are further names by which constants may be given, in the order of the joints;
+    those of ``others``, joints and motors that are left out, are not needed.
     """
     constants = conditions.torque_constant
     recording = replace(recording, operation=conditions.operation)
@@ -97,14 +126,15 @@ def with_conditions(recording: Recording, conditions: Conditions,
     known = {**{joint: joint for joint in recording.joints},
              **{motor: joint for motor, joint in zip(motors, recording.joints, strict=False)
                 if motor}}
-    wrong = next((name for name in constants if name not in known), None)
+    wrong = next((name for name in constants if name not in known and name not in others), None)
     if wrong is not None:
         raise ConfigError(f'{recording.source}: torque_constant names {wrong!r}, the recording '
                           f'has {", ".join(recording.joints)}{did_you_mean(wrong, known)}')
     values, deviations = np.ones(recording.n_joints), np.zeros(recording.n_joints)
-    for name, (value, sd) in constants.items():
-        j = recording.joints.index(known[name])
-        values[j], deviations[j] = value, sd
+    for name, joint in known.items():
+        if name in constants:
+            j = recording.joints.index(joint)
+            values[j], deviations[j] = constants[name]
     return _uncoupled(replace(
         recording, scale_sd=deviations, tau_motor=recording.tau_motor * values,
         command=recording.command * values), conditions.coupling)

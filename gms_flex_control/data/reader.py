@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag, namespace_of
+from gms_flex_control.data.conditions import conditions_of, with_conditions
 from gms_flex_control.data.recording import Phase, Recording, Topics
 from gms_flex_control.data.series import names_of, Series
 from gms_flex_control.errors import BagError
@@ -38,8 +39,9 @@ def read_recording(path, joints: Sequence[str] | None = None, motors: Sequence[s
     -------
     Recording
         Sampled at the joint states; the command of a state is the one that carries its stamp, the
-        reference that of the same time. BagError if the bag lacks the joint states, a joint or a
-        length that fits; BagWarning if it was cut off, is damaged or otherwise odd.
+        reference that of the same time. What recording.yaml beside the bag states is applied.
+        BagError if the bag lacks the joint states, a joint or a length that fits; BagWarning if
+        it was cut off, is damaged or otherwise odd.
 
     """
     return _read(path, joints, motors, topics)[0]
@@ -68,8 +70,9 @@ def _read(path, joints, motors, topics=None):
     joints, motors = series.resolved()
     series.note_others(joints, motors)
     begin, columns = _columns(path, series, motors)
-    return (Recording(joints=joints, source=str(path), **columns), begin, bag,
-            (phases, messages))
+    recording = with_conditions(Recording(joints=joints, source=str(path), **columns),
+                                conditions_of(path), motors, series.require_names())
+    return recording, begin, bag, (phases, messages)
 
 
 def joint_names(path) -> tuple:

@@ -25,7 +25,7 @@ class Operation(NamedTuple):
     """Under which conditions a robot moved."""
 
     load: Body | None = None    # carried, in the frame at the end of the arm
-    load_unknown: bool = False  # whether something is carried that nothing is known of
+    load_unknown: bool = False  # whether a load is to be found, all but ``load`` of it
     temperature: str = ''       # label; recordings of one label have the same friction
 
 

@@ -109,13 +109,13 @@ def samples_of(recording, robot) -> Samples:
 
 def require_known(recording, robot) -> None:
     """Raise BagError where a recording has a load or torques that the robot's model cannot use."""
-    if recording.operation.load_unknown:
-        raise BagError(f'{recording.source}: its load is unknown; gms_flex identify finds it '
-                       '(recordings.1.load), then state it in recording.yaml')
     load = recording.operation.load
     why_not = load and why_not_carried(load, robot.arm)
     if why_not:
         raise BagError(f'{recording.source}: {why_not}')
+    if recording.operation.load_unknown:
+        raise BagError(f'{recording.source}: its load is not known in full; gms_flex identify '
+                       'finds it (recordings.1.load), then state mass and com in recording.yaml')
     loose = np.flatnonzero(~np.isfinite(recording.scale_sd))
     if len(loose) and not (recording.has_currents and robot.arm.kind == 'decoupled'):
         raise BagError(f'{recording.source}: the torque constant of {recording.joints[loose[0]]} '

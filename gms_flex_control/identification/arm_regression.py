@@ -38,6 +38,7 @@ from gms_flex_control.identification.inertial_parameters import (
     meaning_of,
     names_of,
     nearest_arm,
+    ten_numbers,
     UNITS,
 )
 from gms_flex_control.identification.robust_regression import (
@@ -53,7 +54,7 @@ from gms_flex_control.identification.uncertainty import (
     inverse_of,
     memory_of,
 )
-from gms_flex_control.params.arm import ArmParams, at_end, carrying, in_space
+from gms_flex_control.params.arm import ArmParams, at_end, at_last_link, carrying, in_space
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -61,9 +62,12 @@ _MEMORY = 2.1       # samples that the low-pass makes alike: 1 / B(0) of the 8th
 _ZERO_SD = 0.02     # of an encoder's zero between recordings [rad]
 _LOAD_SD = 1.0      # of an unknown load, as bodies of the mass of the whole arm
 _LOAD_SIZE = 0.3    # and so large [m]
+_WEIGHED = 1e-3     # standard deviation of a load's mass where that alone is known, relative
 _VAGUE_SD = 1e3     # the same of base parameters: those of a joint that stands have a variance
 _DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load identifies it
 _UNKNOWN_SD = 0.5   # the same of currents, around what the URDF's masses give
+_ALIKE_SD = 1.0     # and of constants of the joints of one arm, around each other
+_TAILS = 4.0        # degrees of freedom of both: a light link may be described wrongly altogether
 _ROUNDS = 50        # of Gauss and Newton at most: scales multiply parameters
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them
 _LOADED = 5.0       # standard errors beyond which friction grows with the load
@@ -95,7 +99,7 @@ class BaseFit(NamedTuple):
 def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> BaseFit:
     """Estimate the base parameters of a chain in space or in a plane, joints in its order."""
     arm, sides = _driven(recordings, robot)
-    if all(one.operation.load_unknown for one in recordings):
+    if all(_whole_load_unknown(one) for one in recordings):
         raise IdentificationError(
             f'{recordings[0].source}: the load of every recording is unknown, which cannot be '
             'separated from the last link: add a recording without a load or with a known one, or '
@@ -125,6 +129,10 @@ def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Diff
     return fit.differences()
 
 
+def _whole_load_unknown(recording):
+    return recording.operation.load_unknown and recording.operation.load is None
+
+
 def _driven(recordings, robot):
     sides = drive_sides(recordings[0], robot)
     return in_space(rigid_where(robot, sides).arm), sides
@@ -150,7 +158,7 @@ class _Fit:
             carrying(slopes_of or arm, (loads or {}).get(r, one.operation.load))
             for r, one in enumerate(recordings)])
         n, doubt = arm.n_joints, np.max([one.scale_sd for one in recordings], axis=0)
-        known = [one.operation.load for one in recordings if not one.operation.load_unknown]
+        known = [one.operation.load for one in recordings if not _whole_load_unknown(one)]
         loads = {load and (load.mass, *load.com) for load in known}
         self._prior_sd = np.where(np.isinf(doubt), _UNKNOWN_SD, np.maximum(
             doubt, _DRIVE_SD if len(loads) > 1 else 0.0))
@@ -159,27 +167,56 @@ class _Fit:
         self._at = Unknowns(np.zeros(len(base.lead)), np.zeros((len(recordings), n)), np.ones(n),
                             np.zeros((len(recordings), 10)),
                             np.zeros(2 * len(self._layout.shared)))
+        self._known_loads = [recordings[r].operation.load for r in self._layout.unknown]
         self._loaded = np.zeros(n, dtype=bool)
         self._guess = self._guessed_scales(recordings, np.isinf(doubt))
         self._at.scale[:] = self._guess
         self._last = None  # the _Regression of the last step
 
     def _guessed_scales(self, recordings, unknown):
-        """Return the scales (n,) to begin from: of unknown ones, as the URDF's masses have it."""
-        guess, start = np.ones(len(unknown)), all_parameters(self._arm)
+        """
+        Return the scales (n,) to begin from: of unknown ones, as the URDF's masses have it.
+
+        Motor inertia is left open. A joint whose links the motion hardly loads is taken to have
+        a constant like the others'; its prior standard deviation grows with it.
+        """
+        guess, start, unknown = np.ones(len(unknown)), all_parameters(self._arm), (
+            np.flatnonzero(unknown))
+        if not len(unknown):
+            return guess
         described = self._rows.known + (self._rows.regressor @ (self._base.combination @ start)
                                         if len(self._base.lead) else 0.0)
-        for j in np.flatnonzero(unknown):
-            columns = np.concatenate([described[:, j:j + 1], self._own(j, slice(None))], axis=1)
-            root = np.sqrt(robust(columns, self._rows.torque[:, j])[0])
-            guess[j] = np.linalg.lstsq(columns * root[:, None], self._rows.torque[:, j] * root,
-                                       rcond=1e-10)[0][0]
-            if not guess[j] > 0.0:
-                raise IdentificationError(
-                    f'{recordings[0].source}: the torque of {self._robot.joints[j]} goes against '
-                    f'what its links require ({guess[j]:.3g} per N m): its sign is reversed, or '
-                    'its torque constant is negative; state it in recording.yaml')
+        found, error = np.array([self._own_scale(j, described[:, j]) for j in unknown]).T
+        against = np.flatnonzero(found < -_SURE * error)
+        if len(against):
+            raise IdentificationError(
+                f'{recordings[0].source}: the torque of {self._robot.joints[unknown[against[0]]]} '
+                f'goes against what its links require ({found[against[0]]:.3g} per N m): its sign '
+                'is reversed, or its torque constant is negative; state it in recording.yaml')
+        seen = found > _SURE * error
+        if not seen.any():
+            raise IdentificationError(
+                f'{recordings[0].source}: no torque shows what its links require, so that no '
+                'torque constant can be found: state torque_constant in recording.yaml, or move '
+                'against gravity')
+        known = np.log(found[seen])
+        mean, own = np.mean(known), _UNKNOWN_SD ** -2 * seen
+        logs = np.full(len(found), mean)
+        logs[seen] = known
+        guess[unknown] = np.exp((own * logs + mean * _ALIKE_SD ** -2) / (own + _ALIKE_SD ** -2))
+        self._prior_sd[unknown] = 1.0 / np.sqrt(own + _ALIKE_SD ** -2)
         return guess
+
+    def _own_scale(self, j, described):
+        """Return a torque over that of links as ``described`` (S,), and its standard error."""
+        columns = np.concatenate([described[:, None], self._rows.acceleration[:, j:j + 1],
+                                  self._own(j, slice(None))], axis=1)
+        weights, scale = robust(columns, self._rows.torque[:, j])
+        root = np.sqrt(weights)
+        scaled = columns * root[:, None]
+        values = np.linalg.lstsq(scaled, self._rows.torque[:, j] * root, rcond=1e-10)[0]
+        spread = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)[0, 0]
+        return values[0], scale * np.sqrt(spread * len(described) / (self._rows.block[-1] + 1))
 
     def _own(self, j, chosen):
         """Return the columns that are eliminated for a joint: friction, offsets, delay (S', F)."""
@@ -242,10 +279,9 @@ class _Fit:
 
     def _iterate(self):
         rows, layout, at = self._rows, self._layout, self._at
-        precision = self._precision()
         weighting = None
         for k in range(_ROUNDS):
-            model = self._torque()
+            precision, model = self._precision(), self._torque()
             columns = self._columns(model)
             pull = np.zeros(len(precision))
             pull[layout.links] = -at.links
@@ -280,10 +316,15 @@ class _Fit:
         rows, layout = self._rows, self._layout
         precision = np.zeros(layout.coupled.stop)
         precision[layout.zeros] = _ZERO_SD ** -2
-        precision[layout.scales] = self._prior_sd[layout.free] ** -2
-        size, mass, n = _LOAD_SIZE, self._arm.mass.sum(), len(self._at.scale)
-        body = mass * np.repeat([1.0, size, size ** 2], [1, 3, 6])
-        precision[layout.loads] = np.tile(_LOAD_SD * body, len(layout.unknown)) ** -2.0
+        off = np.log(self._guess / self._at.scale)[layout.free]  # Student's distribution
+        precision[layout.scales] = (_TAILS + 1.0) / (
+            _TAILS * self._prior_sd[layout.free] ** 2 + off ** 2)
+        size, n = _LOAD_SIZE, len(self._at.scale)
+        of_mass = np.repeat([1.0, size, size ** 2], [1, 3, 6])
+        body = self._arm.mass.sum() * of_mass
+        precision[layout.loads] = np.concatenate([np.zeros(0), *(
+            _LOAD_SD * (body if load is None else load.mass * of_mass * np.append(
+                _WEIGHED, np.ones(9))) for load in self._known_loads)]) ** -2.0
         own = np.append(np.tile(body, n), np.full(n, body[-1]))
         precision[layout.links] = (_VAGUE_SD * own[self._base.lead]) ** -2.0
         precision[layout.coupled] = np.sum(rows.coupled ** 2, axis=(0, 1)) / np.sum(
@@ -332,8 +373,10 @@ class _Fit:
         """Return the FoundLoads by recording."""
         covariance, found = self._covariance[0][self._layout.loads, self._layout.loads], {}
         for k, r in enumerate(self._layout.unknown):
-            own = covariance[10 * k:10 * k + 4, 10 * k:10 * k + 4]
-            mass, *moment = self._at.loads[r, :4]
+            own, known = covariance[10 * k:10 * k + 4, 10 * k:10 * k + 4], self._known_loads[k]
+            load = self._at.loads[r] + (
+                0.0 if known is None else ten_numbers(at_last_link(known, self._arm)))
+            mass, *moment = load[:4]
             if not mass > max(_SURE * np.sqrt(own[0, 0]), _TRIFLE * self._arm.mass.sum()):
                 raise IdentificationError(
                     f'{self._sources[r]}: the unknown load has a mass of {mass:.3g} kg within '
@@ -343,18 +386,20 @@ class _Fit:
             slopes = np.concatenate([-com[:, None], np.eye(3)], axis=1) / mass
             turn = self._arm.frames.end_rotation.T
             spread = np.maximum(np.diag(turn @ slopes @ own @ slopes.T @ turn.T), 0.0)
-            found[r] = FoundLoad(at_end(body_of(self._at.loads[r]), self._arm.frames),
+            found[r] = FoundLoad(at_end(body_of(load), self._arm.frames),
                                  float(np.sqrt(own[0, 0])), np.sqrt(spread))
         return found
 
     def nearest(self) -> ArmParams:
-        """Return the arm nearest to the described one that has the base parameters."""
+        """
+        Return the arm nearest to the described one that has the base parameters.
+
+        Beside the scales, zeros and loads found: torques and angles are corrected by these.
+        """
         links = self._layout.links
-        covariance, inverse = (one[links, links] for one in self._covariance)
-        normal = self._last.normal
-        normal = normal if links.stop == len(normal) else inverse_of(inverse)
+        wider = np.sqrt(np.diag(self._covariance[0]) / np.diag(self._covariance[1]))[links]
         return nearest_arm(self._robot.arm, self._arm, self._base.combination, self._at.links,
-                           normal, covariance)
+                           self._last.normal[links, links], wider)
 
     def result(self, robot, found) -> BaseFit:
         """Return the BaseFit, ``found`` the nearest arm."""

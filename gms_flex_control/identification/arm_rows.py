@@ -46,6 +46,7 @@ class Rows(NamedTuple):
     turning: np.ndarray    # (S, n, K) of friction that lags behind a reversal
     coupled: np.ndarray    # (S, n, 2 M) of friction of M motors that several joints turn
     rate: np.ndarray       # (S, n)
+    acceleration: np.ndarray  # (S, n)
     block: np.ndarray      # (S,) int, of time
     recording: np.ndarray  # (S,) int
 
@@ -113,13 +114,15 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
             slope[:, :, i] = (
                 chain.inverse_dynamics(angle - step, *motion[1:], slopes_of)
                 - chain.inverse_dynamics(angle + step, *motion[1:], slopes_of)) / (2.0 * _STEP)
-    regressor, tip, known, slope, friction, turning, coupled = (low_pass(one, window) for one in (
-        regressor, tip, known, slope, friction, turning, coupled))
+    regressor, tip, known, slope, friction, turning, coupled, acceleration = (
+        low_pass(one, window) for one in (
+            regressor, tip, known, slope, friction, turning, coupled, motion[2]))
     block = (every * np.arange(len(rate)) * recording.period / BLOCK_TIME).astype(int)
     inner = slice(2 * window, -2 * window, max(window // 2, 1))
     change = np.gradient(torque, every * recording.period, axis=0)
     return tuple(part[inner] for part in (regressor, tip, known, slope, torque, change, friction,
-                                          turning, coupled, rate, block))
+                                          turning, coupled, rate, acceleration,
+                                          block))
 
 
 def _friction(segment, every, recording, usual, motors):

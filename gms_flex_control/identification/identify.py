@@ -134,7 +134,7 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
         duration=float(sum(take.time[-1] - take.time[0] for take, _ in takes)),
         period=data.bundle.period,
         warnings=tuple(dict.fromkeys(str(item.message) for item in caught)),
-        seconds=time.monotonic() - begin, currents=currents)
+        seconds=time.monotonic() - begin, currents=currents, **data.found_beside(robot.joints))
 
 
 def _currents_of(takes, robot, whole):
@@ -203,6 +203,15 @@ class Data:
         """Return the friction per torque carried (n,), 0 where it does not grow."""
         per_load = self.arm_fit.loaded if self.arm_fit else np.zeros(self.robot.n_joints)
         return per_load + (self.differences.loaded if self.differences else 0.0)
+
+    def found_beside(self, joints) -> dict:
+        """Return ``constants`` and ``loads`` of the Identification."""
+        found = self.differences
+        if not found:
+            return {}
+        return {'constants': {joints[j]: (1.0 / found.scale[j], found.scale_sd[j])
+                              for j in np.flatnonzero(found.prior_sd > 0.0)},
+                'loads': {r: one.body for r, one in found.loads.items()}}
 
     def fit(self, options, say) -> list:
         """Return a JointFit per joint."""

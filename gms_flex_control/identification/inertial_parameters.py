@@ -19,11 +19,10 @@ from typing import NamedTuple
 from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.dynamics import vectors as vec
-from gms_flex_control.identification.uncertainty import inverse_of
 from gms_flex_control.params.arm import ArmParams, Body, in_space
 import numpy as np
 from scipy.linalg import qr
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, nnls
 
 SYMBOLS = ('mass', 'moment_x', 'moment_y', 'moment_z', 'inertia_xx', 'inertia_xy', 'inertia_xz',
            'inertia_yy', 'inertia_yz', 'inertia_zz')
@@ -136,13 +135,16 @@ def link_regressors(angle, rate, acceleration, arm: ArmParams, coupling=None) ->
 
 
 def inertial_parameters(arm: ArmParams) -> np.ndarray:
-    """Return mass, first moment, inertia (xx, xy, .. zz) about the frame of each link (10 n,)."""
-    square = np.einsum('ia,ib->iab', arm.com, arm.com)
-    about = arm.inertia + arm.mass[:, None, None] * (
-        np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(3) - square)
-    rows, columns = np.triu_indices(3)
-    return np.concatenate([arm.mass[:, None], arm.mass[:, None] * arm.com,
-                           about[:, rows, columns]], axis=1).ravel()
+    """Return the `ten_numbers` of each link (10 n,)."""
+    return np.concatenate([ten_numbers(Body(*link)) for link in zip(
+        arm.mass, arm.com, arm.inertia, strict=True)])
+
+
+def ten_numbers(body: Body) -> np.ndarray:
+    """Return mass, first moment, inertia (xx, xy, .. zz) of a body about its frame (10,)."""
+    mass, com, inertia = body
+    about = inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return np.concatenate([[mass], mass * com, about[np.triu_indices(3)]])
 
 
 class Base(NamedTuple):
@@ -195,23 +197,28 @@ def meaning_of(row: np.ndarray, names: Sequence[str]) -> str:
     return text
 
 
-def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, normal, covariance
+def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, normal, wider
                 ) -> ArmParams:
     """
     Return the arm nearest to the described one that has base parameters ``values`` (B,).
 
     Its links are bodies; a planar chain stays one. ``combination`` (B, P) is that of `base_of`
     for ``arm``, which is ``described`` in space with joints rigid that their motor drives;
-    ``normal`` and ``covariance`` (B, B) say how sure values are.
+    values are as sure as ``normal`` (B, B) says, their standard deviations times ``wider`` (B,).
+    A motor without inertia in the file begins with what links leave to it.
     """
     rigid = arm.rigid
-    wider = np.sqrt(np.diag(covariance) / np.diag(inverse_of(normal)))
     root = np.linalg.cholesky(normal / np.outer(wider, wider)
                               + 1e-12 * np.diag(np.diag(normal))).T
     size, links, changed = (_of_plane if described.frames is None else _of_bodies)(described, arm)
+    stated, at = arm.motor_inertia[rigid], 10 * arm.n_joints
+    if np.any(stated == 0.0):
+        left = values - combination @ all_parameters(arm)
+        needed, _ = nnls(root @ combination[:, at:] * (stated == 0.0), root @ left)
+        stated = np.where(stated == 0.0, needed, stated)
 
     def motors(x):
-        return arm.motor_inertia[rigid] * np.exp(x[size:])
+        return stated * np.exp(x[size:])
 
     def residual(x):
         off = combination @ np.concatenate([links(x[:size]).ravel(), motors(x)]) - values

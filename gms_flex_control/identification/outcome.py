@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What an identification found, how far each number can be trusted, and the words for it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from gms_flex_control.params.arm import in_currents, in_units
@@ -142,6 +142,9 @@ class Identification:
     seconds: float        # how long the fit took
     described: bool = True  # whether ``believed`` is what a file says, not a placeholder
     currents: bool = False  # efforts are currents, torques and inertias are per torque constant
+    constants: dict = field(default_factory=dict)  # by joint the true torque constant over the
+    #                       stated one and its relative standard deviation, where that was open
+    loads: dict = field(default_factory=dict)  # number of a source to the Body found in it
 
     def in_units(self, text: str) -> str:
         """Return a text that is written for torques of rotary axes, in the units of this robot."""

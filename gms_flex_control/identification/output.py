@@ -4,10 +4,12 @@
 """Files for machines: report.json, and friction.yaml for controller, plant and tools."""
 
 import math
+from pathlib import Path
 from textwrap import wrap
 
 from gms_flex_control import __version__
-from gms_flex_control.file_io import plain, write_json
+from gms_flex_control.data.conditions import NAME, with_found
+from gms_flex_control.file_io import plain, write_json, write_text
 from gms_flex_control.identification.outcome import (
     CONFIDENT,
     data_sentence,
@@ -53,6 +55,21 @@ def _joint(result):
 def write_report_json(identification: Identification, path) -> None:
     """Write `report_json` to ``path``, whole or not at all."""
     write_json(path, report_json(identification))
+
+
+def condition_files(identification: Identification, folder) -> dict:
+    """Return by number of a source where `write_conditions` writes what was found of it."""
+    return {r: Path(folder) / f'{Path(bag).name}.{NAME}'
+            for r, bag in enumerate(identification.sources)
+            if identification.constants or r in identification.loads}
+
+
+def write_conditions(identification: Identification, folder) -> None:
+    """Write a recording.yaml with the torque constants and loads found, for bags that need it."""
+    motors = dict(zip(identification.robot.joints, identification.robot.motors, strict=True))
+    for r, path in condition_files(identification, folder).items():
+        write_text(path, with_found(identification.sources[r], identification.constants,
+                                    identification.loads.get(r), motors))
 
 
 def friction_values(identification: Identification) -> dict:

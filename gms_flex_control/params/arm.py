@@ -91,10 +91,11 @@ class ArmParams:
     length: np.ndarray = number('distance to the next joint', 'm', 0.0, 0.0)
     com: np.ndarray = number('centre of mass from the joint', 'm', 0.0)
     inertia: np.ndarray = number('inertia about the centre of mass; mass com^2 comes on top',
-                                 'kg m^2', lower=0.0, unless=('arm.kind', 'urdf'))
-    motor_inertia: np.ndarray = number('motor inertia reflected to the joint', 'kg m^2', lower=0.0)
+                                 'kg m^2', lower=0.0, unless=('arm.kind', 'urdf', 0.0))
+    motor_inertia: np.ndarray = number('motor inertia reflected to the joint', 'kg m^2', lower=0.0,
+                                       unless=('arm.kind', 'urdf', 0.0))
     stiffness: np.ndarray = number('stiffness of the joint; .inf for a rigid one', 'N m/rad',
-                                   lower=SMALLEST)
+                                   lower=SMALLEST, unless=('arm.kind', 'urdf', np.inf))
     damping: np.ndarray = number('damping of the joint', 'N m s/rad', 0.0, 0.0)
     offset: np.ndarray | None = number(
         'angle of the link where the joint reads 0, from the x axis or the link before it', 'rad',

@@ -31,7 +31,7 @@ class Key:
     kind: str = ''       # its ROS type, double_array or the like; '' is that of the default
     choices: tuple = ()  # of a string; empty if any
     live: bool = False   # whether it may change while the node runs
-    unless: tuple = ()   # name and value of another beside which it need not be given, and is 0
+    unless: tuple = ()   # name and value of another beside which it has a default: that
 
     def __post_init__(self):
         object.__setattr__(self, 'kind', self.kind or _kind_of(self.default))
@@ -39,7 +39,7 @@ class Key:
     def default_beside(self, given: dict) -> Any:
         """Return the default beside the values ``given`` (dict), REQUIRED if it has none."""
         if self.unless and given.get(self.unless[0]) == self.unless[1]:
-            return 0.0
+            return self.unless[2]
         return self.default
 
 

@@ -4,9 +4,11 @@
 """What identification and discrepancy come to, in words: answers, and the text of a terminal."""
 
 from pathlib import Path
+import shlex
 from textwrap import fill
 
 from gms_flex_control.answer import align, Answer, command, measured, Number
+from gms_flex_control.data.conditions import file_of
 from gms_flex_control.discrepancy.describe import (
     angle_scale,
     of_joints,
@@ -29,6 +31,7 @@ from gms_flex_control.identification.outcome import (
     span,
     standing,
 )
+from gms_flex_control.identification.output import condition_files
 import numpy as np
 
 WITHOUT, WITH = 'without effects', 'with effects'
@@ -123,10 +126,13 @@ def identification_answer(identification, folder, robot=()) -> Answer:
         numbers.append(measured(f'{short_name(known.name, joint)} of {joint} [{known.unit}]', None,
                                 known.value, 0.5 * (high - low), scale=1.0))
     files = robot or (('robot.yaml',) if identification.described else ())
+    copies = [shlex.join(['cp', str(path), str(file_of(identification.sources[r]))])
+              for r, path in condition_files(identification, folder).items()]
     return Answer(_identified(identification, worst),
-                  ('Coulomb + viscous', 'identified', 'noise floor'), tuple(numbers), command(
+                  ('Coulomb + viscous', 'identified', 'noise floor'), tuple(numbers),
+                  ' && '.join([*copies, command(
                       'discrepancy', *identification.sources, '--robot', *files,
-                      folder / 'friction.yaml', '--out', folder / 'gap'))
+                      folder / 'friction.yaml', '--out', folder / 'gap')]))
 
 
 def worst_joint(identification) -> JointResult:

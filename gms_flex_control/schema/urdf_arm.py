@@ -233,7 +233,7 @@ class _Tree:
         waiting = [(joint.child, (np.eye(3), np.zeros(3)))]
         while waiting:
             name, frame = waiting.pop()
-            body = self._body(name)
+            body = self._body(name, massless=name != joint.child)
             if body is not None:
                 bare = False
                 bodies.append(moved(body, *frame))
@@ -255,12 +255,12 @@ class _Tree:
                         for below in self.joints if below.parent == name and below.kind == 'fixed']
         return max(frames, key=lambda frame: np.linalg.norm(frame[1]))
 
-    def _body(self, name):
-        """Return the Body of one link, None of a frame without mass and shape."""
+    def _body(self, name, massless):
+        """Return the Body of one link, None of a frame; one with a shape may be ``massless``."""
         link = self._links[name]
         inertial = link.find('inertial')
         if inertial is None:
-            if any(link.find(shape) is not None for shape in _SHAPES):
+            if not massless and any(link.find(shape) is not None for shape in _SHAPES):
                 raise ConfigError(f'link {name!r} has a shape but no <inertial>: give it mass '
                                   'and inertia, or remove the shape of a mere frame')
             return None
