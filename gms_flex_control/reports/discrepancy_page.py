@@ -24,6 +24,7 @@ TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
           UNEXPLAINED: 'Something is missing that no effect explains well enough',
           BAD_DATA: 'The data are at fault'}
 MOST_PICTURES = 8     # findings with a picture and a chart of their own
+MOST_JOINTS = 3       # with maps and courses of their residual: those farthest above its floor
 
 
 def write_discrepancy_report(result, folder, *, holdout=(), models=()) -> list:
@@ -192,7 +193,16 @@ def _add_residuals(report, along, behind, picture):
                 'torque pushes forward. Maps are white where the mean is within chance (95 %), '
                 'grey where the motion did not go.')
     over = residual_views.over_all(along, before, after, null)
-    for j, joint in enumerate(along.joints):
+    above = [np.linalg.norm(before[:, columns]) / max(np.linalg.norm(null[:, columns]), 1e-300)
+             for columns in ([column for _, column in along.channels(j)]
+                             for j in range(len(along.joints)))]
+    shown = sorted(np.argsort(above)[-MOST_JOINTS:].tolist())
+    if len(shown) < len(along.joints):
+        report.text('Shown are the joints whose residual is largest beside that of a null '
+                    f'simulation: {", ".join(along.joints[j] for j in shown)}. The table '
+                    'has all.')
+    for j in shown:
+        joint = along.joints[j]
         report.figure(picture(maps_figure(residual_views.maps_of(along, before, after, j), joint),
                               f'map_{file_stem(joint)}_{j + 1}.png'),
                       f'{joint}: maps of the missing torque')
@@ -211,9 +221,9 @@ def _add_residuals(report, along, behind, picture):
     first = along.likelihood.whitenings[0]
     time, split = first.time[first.settled], first.settled.sum()
     scale = describe.torque_scale(before[:split])
-    for j, joint in enumerate(along.joints):
+    for j in shown:
         for equation, column in along.channels(j):
-            report.chart(f'{joint}: missing in the {equation} equation', time, [
+            report.chart(f'{along.joints[j]}: missing in the {equation} equation', time, [
                 Series(WITHOUT, scale.factor * before[:split, column], role='c1'),
                 Series(WITH, scale.factor * after[:split, column], role='c0')],
                 y_label=f'torque [{scale.unit}]')
