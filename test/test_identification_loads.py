@@ -17,6 +17,7 @@ from gms_flex_control.identification.arm_regression import fit_base_parameters, 
 from gms_flex_control.identification.assumed_robot import believed_model
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
 from gms_flex_control.identification.recording_checks import require
+from gms_flex_control.identification.segments import drive_sides, one_by_one, segments_of
 from gms_flex_control.params.arm import Body
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -156,6 +157,17 @@ def test_motor_inertia_that_no_file_states_is_found_all_the_same(hidden):
     again = fit_base_parameters([bare], unstated).arm
     np.testing.assert_allclose(again.motor_inertia[3:], arm.motor_inertia[3:], rtol=0.1)
     np.testing.assert_allclose(again.mass, robot.arm.mass, rtol=0.5)
+
+
+def test_errors_are_shares_of_what_the_drives_gave(hidden):
+    """What the other links require is taken off each torque; together they are what was read."""
+    robot, arm, (bare, _) = hidden
+    given = replace(robot, arm=arm)
+    pieces = segments_of(bare, given, drive_sides(bare, given))
+    (alone,), _ = one_by_one([pieces], given)
+    for piece, one in zip(pieces, alone, strict=True):
+        np.testing.assert_allclose(one.torque + one.taken, piece.torque)
+        assert np.std(one.torque[:, 1]) < 0.5 * np.std(piece.torque[:, 1])
 
 
 def test_discrepancy_takes_the_load_from_the_recording(hidden):

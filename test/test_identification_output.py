@@ -10,14 +10,17 @@ from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.identification.outcome import (
     Estimate,
     Interval,
+    NOT_IDENTIFIABLE,
     standing,
 )
 from gms_flex_control.identification.output import (
     friction_values,
     report_json,
+    uncertainty_values,
     write_friction,
     write_report_json,
 )
+from gms_flex_control.params.robot import KINDS
 from gms_flex_control.schema.files import load_controller, load_robot, read_parameters
 from identified import ERRORS, identification
 import numpy as np
@@ -72,6 +75,19 @@ def test_friction_yaml_holds_friction_alone_and_no_empty_blocks(tmp_path):
     assert names == {'joints', 'motors', 'friction', 'uncertainty'}
     weights = friction_values(identification())['friction.joint1.weight']
     assert len(weights) == 6 and 0.0 not in weights
+
+
+def test_friction_that_the_data_leave_open_is_known_worse_than_usual():
+    """Ten per cent of viscous friction, four times what is usual; the other joint as before."""
+    made = identification()
+    assert uncertainty_values(made)['uncertainty.joint1.viscous'] < 0.1
+    opened = edited(made, estimates=tuple(
+        one._replace(flags=(NOT_IDENTIFIABLE,)) if one.name.endswith('viscous') else one
+        for one in made.joints[0].estimates))
+    values = uncertainty_values(opened)
+    assert values['uncertainty.joint1.viscous'] == pytest.approx(4.0 * KINDS['viscous'].sd)
+    assert values | {'uncertainty.joint1.viscous': 0.0} == uncertainty_values(made) | {
+        'uncertainty.joint1.viscous': 0.0}
 
 
 def test_an_arm_parameter_is_written_where_the_fit_changed_it():

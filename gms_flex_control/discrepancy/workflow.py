@@ -297,13 +297,18 @@ def _may_stand_in(likelihood, held_out, state, before, named):
     """
     Return whether a State may be written that may have other effects than those ``named``.
 
-    Others must explain more than they leave, of what the State ``before`` leaves. Blocks of a
-    recording are much like what was fitted: what only resembles the cause must show more there
-    than on other recordings.
+    Others must explain more than they leave, of what the State ``before`` leaves in the joints
+    on which they act. Blocks of a recording are much like what was fitted: what only resembles
+    the cause must show more there than on other recordings.
     """
-    left, whole = (np.sum((held_out.errors(one).torque / likelihood.coulomb) ** 2)
+    others = state.key(likelihood.known) - named.keys()
+    joints = likelihood.robot.joints
+    acted = [joint in {own for _, own in others} for joint in joints]
+    if any(own not in joints for _, own in others):
+        acted = [True] * len(joints)  # of the whole arm
+    left, whole = (np.sum((held_out.errors(one).torque / likelihood.coulomb)[acted] ** 2)
                    for one in (state, before))
-    return state.key(likelihood.known) <= named.keys() or left < MOST_LEFT * whole
+    return not others or left < MOST_LEFT * whole
 
 
 def _tried(found):

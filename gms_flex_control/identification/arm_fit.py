@@ -70,8 +70,8 @@ class ArmFit(NamedTuple):
         arm = self.robot.arm
         carried = segment.torque - arm.rigid * arm.motor_inertia * segment.acceleration
         grown = friction_by_load(segment, carried, self.loaded)
-        return replace(segment, torque=segment.torque - grown - self.constant,
-                       constant=self.constant)
+        taken = grown + self.constant
+        return replace(segment, torque=segment.torque - taken, taken=segment.taken + taken)
 
     def extras(self) -> tuple[Callable | None, ...]:
         """Return per joint a function Segment -> further torques (T, R) per correction."""

@@ -13,10 +13,13 @@ from gms_flex_control.file_io import plain, write_json, write_text
 from gms_flex_control.identification.outcome import (
     CONFIDENT,
     data_sentence,
+    DOUBTFUL,
     Identification,
     joint_sentences,
+    NOT_IDENTIFIABLE,
     percent,
     short_name,
+    spread,
     standing,
 )
 from gms_flex_control.params.robot import KINDS
@@ -106,16 +109,17 @@ def uncertainty_values(identification: Identification) -> dict:
     """
     Return how well friction is known: flat ``uncertainty`` parameters, from the intervals.
 
-    Relative standard deviations; flagged estimates say nothing.
+    Relative standard deviations, the largest where the data leave all estimates of a kind open.
     """
     values = {}
     for result in identification.joints:
         for kind, name in _KNOWN_BY.items():
-            sizes = [0.5 * (one.interval.high - one.interval.low)
-                     / CONFIDENT / abs(one.value) for one in result.estimates
-                     if not one.flags and one.value and one.name.startswith('friction.')
-                     and one.name.split('.')[-1].startswith(name)]
+            own = [one for one in result.estimates if one.name.startswith('friction.')
+                   and one.name.split('.')[-1].startswith(name)]
+            sizes = [spread(one) / CONFIDENT for one in own if not one.flags and one.value]
             sizes = [size for size in sizes if np.isfinite(size) and size > 0.0]
+            if not sizes and any(standing(one) in (NOT_IDENTIFIABLE, DOUBTFUL) for one in own):
+                sizes = [np.inf]
             if sizes:
                 values[f'uncertainty.{result.joint}.{kind}'] = float(np.clip(
                     np.median(sizes), _LEAST_TOLD * KINDS[kind].sd, _MOST_TOLD * KINDS[kind].sd))

@@ -122,7 +122,7 @@ def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, sim
         for errors, parameters in ((off, theta), (plain, simple)):
             model = _model_friction(objective, segment, parameters, period)
             errors.append(low_pass(measured - model, window)[keep])
-        drive = segment.torque + segment.constant
+        drive = segment.torque + segment.taken
         torque.append(low_pass(drive[:, joint], window)[keep])
         noise.append(_torque_noise(segment.torque[:, joint], window)[keep])
     off, plain, torque, noise, innovations = (

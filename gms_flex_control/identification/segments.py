@@ -52,7 +52,7 @@ class Segment:
     phase: np.ndarray         # (T,) str, name of the phase; '' if not known
     source: str               # recording it comes from
     window: int = 5           # samples of the longest smoothing window
-    constant: np.ndarray | float = 0.0  # (n,), torque subtracted from the drive's [N m]
+    taken: np.ndarray | float = 0.0  # (T, n), what was subtracted from the drive's torque [N m]
     first_block: int = 0      # number of its first block of time among those of all segments
 
 
@@ -212,7 +212,7 @@ def one_by_one(pieces: list, robot: RobotParams, loads: Sequence = (),
         if per_load is not None:
             taken += friction_by_load(piece, torque, per_load)
         taken[:-1] = 0.5 * (taken[1:] + taken[:-1])  # a mean of the sample, as the drive is
-        return replace(piece, torque=piece.torque - taken)
+        return replace(piece, torque=piece.torque - taken, taken=piece.taken + taken)
 
     nothing = np.zeros(n)
     axes = ArmParams(kind='decoupled', mass=nothing, length=nothing, com=nothing,
