@@ -14,6 +14,7 @@ from gms_flex_control.identification.outcome import (
     standing,
 )
 from gms_flex_control.identification.output import (
+    condition_files,
     friction_values,
     report_json,
     uncertainty_values,
@@ -88,6 +89,14 @@ def test_friction_that_the_data_leave_open_is_known_worse_than_usual():
     assert values['uncertainty.joint1.viscous'] == pytest.approx(4.0 * KINDS['viscous'].sd)
     assert values | {'uncertainty.joint1.viscous': 0.0} == uncertainty_values(made) | {
         'uncertainty.joint1.viscous': 0.0}
+
+
+def test_bags_of_one_name_get_files_of_their_own(tmp_path):
+    made = replace(identification(), sources=('monday/bag', 'tuesday/bag', 'tuesday/other'),
+                   constants={'joint1': (2.0, 0.01)})
+    files = condition_files(made, tmp_path)
+    assert [one.name for one in files.values()] == [
+        'bag_1.recording.yaml', 'bag_2.recording.yaml', 'other.recording.yaml']
 
 
 def test_an_arm_parameter_is_written_where_the_fit_changed_it():

@@ -62,8 +62,9 @@ def write_report_json(identification: Identification, path) -> None:
 
 def condition_files(identification: Identification, folder) -> dict:
     """Return by number of a source where `write_conditions` writes what was found of it."""
-    return {r: Path(folder) / f'{Path(bag).name}.{NAME}'
-            for r, bag in enumerate(identification.sources)
+    names = [Path(bag).name for bag in identification.sources]
+    return {r: Path(folder) / f'{name}{f"_{r + 1}" * (names.count(name) > 1)}.{NAME}'
+            for r, name in enumerate(names)
             if identification.constants or r in identification.loads}
 
 
