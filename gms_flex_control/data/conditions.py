@@ -68,13 +68,9 @@ def repeat_conditions(bag, new, keys: Sequence[str] = _KEYS, load: Body | None =
 
     A ``load`` is carried beside that of the other.
     """
-    file = file_of(bag)
-    known = (checked_yaml(file, ConfigError, 'safe') or {}) if file.is_file() else {}
-    values = {key: value for key, value in known.items() if key in keys}
+    values = {key: value for key, value in _stated(bag).items() if key in keys}
     if load is not None:
-        whole = together(conditions_of(bag).operation.load, load)
-        values['load'] = {'mass': float(whole.mass), 'com': whole.com.tolist()} | (
-            {'inertia': whole.inertia[np.triu_indices(3)].tolist()} if whole.inertia.any() else {})
+        values['load'] = _entry(together(conditions_of(bag).operation.load, load))
     if values:
         write_text(file_of(new), json.dumps(values, default=str) + '\n')  # which is YAML
 
@@ -86,9 +82,7 @@ def with_found(bag, constants: Mapping, load: Body | None, motors: Mapping) -> s
     ``constants`` has by joint the true constant over the one stated and its relative standard
     deviation; ``motors`` are names by which the file may know the joints.
     """
-    file = file_of(bag)
-    values = (checked_yaml(file, ConfigError, 'safe') or {}) if file.is_file() else {}
-    stated = conditions_of(bag).torque_constant or {}
+    values, stated = _stated(bag), conditions_of(bag).torque_constant or {}
     known = dict(values.get('torque_constant', {}))
     for joint, (factor, sd) in constants.items():
         names = joint, motors.get(joint, '')
@@ -98,9 +92,20 @@ def with_found(bag, constants: Mapping, load: Body | None, motors: Mapping) -> s
     if known:
         values['torque_constant'] = known
     if load is not None:
-        values['load'] = {'mass': float(load.mass), 'com': load.com.tolist(),
-                          'inertia': load.inertia[np.triu_indices(3)].tolist()}
+        values['load'] = _entry(load)
     return ''.join(f'{key}: {json.dumps(entry, default=str)}\n' for key, entry in values.items())
+
+
+def _stated(bag):
+    """Return what the file of a bag says (dict), as it stands there."""
+    file = file_of(bag)
+    return (checked_yaml(file, ConfigError, 'safe') or {}) if file.is_file() else {}
+
+
+def _entry(load):
+    """Return a load as it stands in a file (dict)."""
+    return {'mass': float(load.mass), 'com': load.com.tolist()} | (
+        {'inertia': load.inertia[np.triu_indices(3)].tolist()} if load.inertia.any() else {})
 
 
 def file_of(bag) -> Path:

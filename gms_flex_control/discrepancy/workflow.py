@@ -301,14 +301,14 @@ def _may_stand_in(likelihood, held_out, state, before, named):
     on which they act. Blocks of a recording are much like what was fitted: what only resembles
     the cause must show more there than on other recordings.
     """
-    others = state.key(likelihood.known) - named.keys()
+    owners = {joint for _, joint in state.key(likelihood.known) - named.keys()}
+    if not owners:
+        return True
     joints = likelihood.robot.joints
-    acted = [joint in {own for _, own in others} for joint in joints]
-    if any(own not in joints for _, own in others):
-        acted = [True] * len(joints)  # of the whole arm
+    acted = [joint in owners or not owners.issubset(joints) for joint in joints]  # or all
     left, whole = (np.sum((held_out.errors(one).torque / likelihood.coulomb)[acted] ** 2)
                    for one in (state, before))
-    return not others or left < MOST_LEFT * whole
+    return left < MOST_LEFT * whole
 
 
 def _tried(found):

@@ -48,6 +48,7 @@ from gms_flex_control.identification.robust_regression import (
     weighting_of,
 )
 from gms_flex_control.identification.segments import drive_sides, rigid_where
+from gms_flex_control.identification.torque_scales import described_scales
 from gms_flex_control.identification.uncertainty import (
     block_sums,
     clustered,
@@ -65,9 +66,7 @@ _LOAD_SIZE = 0.3    # and so large [m]
 _WEIGHED = 1e-3     # standard deviation of a load's mass where that alone is known, relative
 _VAGUE_SD = 1e3     # the same of base parameters: those of a joint that stands have a variance
 _DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load identifies it
-_UNKNOWN_SD = 0.5   # the same of currents, around what the URDF's masses give
-_ALIKE_SD = 1.0     # and of constants of the joints of one arm, around each other
-_TAILS = 4.0        # degrees of freedom of both: a light link may be described wrongly altogether
+_TAILS = 4.0        # degrees of freedom of such logarithms: a light link may be described wrongly
 _ROUNDS = 50        # of Gauss and Newton at most: scales multiply parameters
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them
 _LOADED = 5.0       # standard errors beyond which friction grows with the load
@@ -160,8 +159,7 @@ class _Fit:
         n, doubt = arm.n_joints, np.max([one.scale_sd for one in recordings], axis=0)
         known = [one.operation.load for one in recordings if not _whole_load_unknown(one)]
         loads = {load and (load.mass, *load.com) for load in known}
-        self._prior_sd = np.where(np.isinf(doubt), _UNKNOWN_SD, np.maximum(
-            doubt, _DRIVE_SD if len(loads) > 1 else 0.0))
+        self._prior_sd = np.maximum(doubt, _DRIVE_SD if len(loads) > 1 else 0.0)
         self._coupling = recordings[0].coupling
         self._layout = layout_of(len(base.lead), recordings, self._prior_sd)
         self._at = Unknowns(np.zeros(len(base.lead)), np.zeros((len(recordings), n)), np.ones(n),
@@ -169,54 +167,20 @@ class _Fit:
                             np.zeros(2 * len(self._layout.shared)))
         self._known_loads = [recordings[r].operation.load for r in self._layout.unknown]
         self._loaded = np.zeros(n, dtype=bool)
-        self._guess = self._guessed_scales(recordings, np.isinf(doubt))
+        self._guess, unknown = np.ones(n), np.flatnonzero(np.isinf(doubt))
+        if len(unknown):
+            self._guess[unknown], self._prior_sd[unknown] = described_scales(
+                self._rows, self._described(), self._own, unknown,
+                [f'{recordings[0].source}: the torque of {joint}' for joint in robot.joints])
         self._at.scale[:] = self._guess
         self._last = None  # the _Regression of the last step
 
-    def _guessed_scales(self, recordings, unknown):
-        """
-        Return the scales (n,) to begin from: of unknown ones, as the URDF's masses have it.
-
-        Motor inertia is left open. A joint whose links the motion hardly loads is taken to have
-        a constant like the others'; its prior standard deviation grows with it.
-        """
-        guess, start, unknown = np.ones(len(unknown)), all_parameters(self._arm), (
-            np.flatnonzero(unknown))
-        if not len(unknown):
-            return guess
-        described = self._rows.known + (self._rows.regressor @ (self._base.combination @ start)
-                                        if len(self._base.lead) else 0.0)
-        found, error = np.array([self._own_scale(j, described[:, j]) for j in unknown]).T
-        against = np.flatnonzero(found < -_SURE * error)
-        if len(against):
-            raise IdentificationError(
-                f'{recordings[0].source}: the torque of {self._robot.joints[unknown[against[0]]]} '
-                f'goes against what its links require ({found[against[0]]:.3g} per N m): its sign '
-                'is reversed, or its torque constant is negative; state it in recording.yaml')
-        seen = found > _SURE * error
-        if not seen.any():
-            raise IdentificationError(
-                f'{recordings[0].source}: no torque shows what its links require, so that no '
-                'torque constant can be found: state torque_constant in recording.yaml, or move '
-                'against gravity')
-        known = np.log(found[seen])
-        mean, own = np.mean(known), _UNKNOWN_SD ** -2 * seen
-        logs = np.full(len(found), mean)
-        logs[seen] = known
-        guess[unknown] = np.exp((own * logs + mean * _ALIKE_SD ** -2) / (own + _ALIKE_SD ** -2))
-        self._prior_sd[unknown] = 1.0 / np.sqrt(own + _ALIKE_SD ** -2)
-        return guess
-
-    def _own_scale(self, j, described):
-        """Return a torque over that of links as ``described`` (S,), and its standard error."""
-        columns = np.concatenate([described[:, None], self._rows.acceleration[:, j:j + 1],
-                                  self._own(j, slice(None))], axis=1)
-        weights, scale = robust(columns, self._rows.torque[:, j])
-        root = np.sqrt(weights)
-        scaled = columns * root[:, None]
-        values = np.linalg.lstsq(scaled, self._rows.torque[:, j] * root, rcond=1e-10)[0]
-        spread = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)[0, 0]
-        return values[0], scale * np.sqrt(spread * len(described) / (self._rows.block[-1] + 1))
+    def _described(self):
+        """Return the torque of the links as described (S, n) [N m]."""
+        if not len(self._base.lead):
+            return self._rows.known
+        return self._rows.known + self._rows.regressor @ (
+            self._base.combination @ all_parameters(self._arm))
 
     def _own(self, j, chosen):
         """Return the columns that are eliminated for a joint: friction, offsets, delay (S', F)."""
