@@ -43,12 +43,25 @@ def pytest_runtest_setup(item):
 
     A computation with a thread per core would starve the nodes of a test in the other process.
     """
+    if getattr(item, 'execution_count', 1) > 1:
+        _begin_anew(item)
     worker = os.environ.get('PYTEST_XDIST_WORKER', '')
     if not worker or len(CORES) < 2:
         return
     own = CORES[int(worker.removeprefix('gw')) % len(CORES)]
     nodes = item.get_closest_marker('flaky') or any(word in item.path.stem for word in NODES)
     os.sched_setaffinity(0, CORES if nodes else [own])
+
+
+def _begin_anew(item):
+    """
+    Take down what the module of a repeated test shares, so that nodes and robot start anew.
+
+    What the first attempt left (a fault, a robot that was killed) would fail the next as well.
+    """
+    for found in item._fixtureinfo.name2fixturedefs.values():
+        if found[-1].scope == 'module':
+            found[-1].finish(item._request)
 
 
 # files that take longest and about how long [s]; nothing but the order depends on it

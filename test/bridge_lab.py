@@ -137,19 +137,21 @@ def enable(lab):
     return answers
 
 
-def move(lab, condition=lambda: True, tries=10):
+def move(lab, condition=lambda: True, flows=None, tries=10):
     """
     Enable torque, start the motion and wait until torque flows and ``condition()`` holds.
 
+    ``flows()`` says whether torque flows, where no efforts are published.
     A fault meanwhile, of a machine too busy for the loop, is left and all of it tried again.
     """
+    flows = flows or (lambda: all(lab.efforts.last))
     for _ in range(tries):
         assert ask(lab, 'reset').success
         lab.until(lambda: lab.states and max(map(abs, lab.states[-1].velocity)) < 0.05)
         enable(lab)
         del lab.reports[:]
         assert ask(lab, '/trajectory/start').success
-        lab.until(lambda: fault_of(lab) or all(lab.efforts.last) and condition())
+        lab.until(lambda: fault_of(lab) or flows() and condition())
         if not fault_of(lab):
             return
     raise AssertionError(f'no motion: {fault_of(lab)}')
