@@ -12,7 +12,7 @@ towards it, exactly integrated over the step. All blocks stick again when the mo
 from functools import cache, lru_cache
 
 from gms_flex_control import records
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.params.robot import STRIBECK
 from gms_flex_control.records import FLAG, FLOAT
 import numpy as np
@@ -21,7 +21,7 @@ import numpy as np
 _FULLY_DECAYED = 50.0
 
 
-@compiled
+@compiled_part
 def level_and_slope(v, static, coulomb, velocity) -> tuple:
     """Return s(v) and ds/dv of one joint in one direction (Eq. 4), all scalars."""
     x = v / velocity
@@ -112,7 +112,7 @@ def level_of(j, direction, velocity, constants) -> tuple:
                            constants.velocity[row, j])
 
 
-@compiled
+@compiled_part
 def advance_blocks(torque, sticking, turned, sign, displacement, level, decay, stiffness,
                    weight) -> None:
     """Advance the blocks (N,) of one joint in place; ``decay`` = exp(-C dt / s)."""
@@ -129,7 +129,7 @@ def advance_blocks(torque, sticking, turned, sign, displacement, level, decay, s
             torque[i] = limit + (torque[i] - limit) * decay  # Eq. (3), exact over the step
 
 
-@compiled
+@compiled_part
 def advance_joint(j, state, displacement, velocity, dt, constants) -> None:
     """Advance joint ``j`` in place by ``displacement`` at ``velocity`` over ``dt``, scalars."""
     turned = displacement * state.direction[j] < 0.0

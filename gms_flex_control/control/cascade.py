@@ -13,7 +13,7 @@ from functools import cache, lru_cache
 
 from gms_flex_control import friction as gms
 from gms_flex_control import records
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.control import compensation, observer
 from gms_flex_control.control.compensation import GMS, GMS_PAPER
 from gms_flex_control.dynamics import chain
@@ -88,7 +88,7 @@ def workspace(n) -> np.record:
     return records.build(work_layout(n))
 
 
-@compiled
+@compiled_part
 def link_errors(state, measured, reference, constants, work) -> None:
     """Form the tracking errors, the reference velocity and the sliding variable, Eq. (12)."""
     for j in range(constants.kd_link.shape[0]):
@@ -105,14 +105,14 @@ def link_errors(state, measured, reference, constants, work) -> None:
         work.sliding[j] = rate + constants.lambda_link[j] * state.error[j]
 
 
-@compiled
+@compiled_part
 def _rest_damping(velocity):
     """Return the part of the velocity feedback that stays at rest, see REST_DAMPING."""
     x = velocity / REST_VELOCITY
     return (REST_DAMPING + x * x) / (1.0 + x * x)
 
 
-@compiled
+@compiled_part
 def _spring_torques(state, measured, constants, work):
     """Write the torque of the joint springs and its rate, as the model has them."""
     links = constants.chain
@@ -125,7 +125,7 @@ def _spring_torques(state, measured, constants, work):
             work.spring[j] = state.command[j]
 
 
-@compiled
+@compiled_part
 def _model_motion(state, measured, constants, work):
     """Form acceleration and jerk of the model, and the derivatives of F_hat on the way."""
     n = constants.kd_link.shape[0]
@@ -133,13 +133,13 @@ def _model_motion(state, measured, constants, work):
     for j in range(n):
         work.chain.tau[j] = work.spring[j] - out[0, j]
     chain.accelerations(measured.q_link, measured.dq_link, links, work.chain)
-    work.acceleration[:] = work.chain.acceleration
+    for j in range(n):
+        work.acceleration[j], work.jerk[j] = work.chain.acceleration[j], 0.0
+        work.ref[0, j], work.ref[1, j] = measured.dq_link[j], work.acceleration[j]
+        work.ref[2, j], work.ref[3, j] = 0.0, 0.0
     if constants.compensation[0] == GMS_PAPER:
         observer.first_derivative(state.observer.blocks, measured.dq_link, work.acceleration,
                                   work.smooth, work.correction, constants.friction, out[1])
-    work.jerk[:] = 0.0
-    work.ref[0], work.ref[1], work.ref[2], work.ref[3] = (measured.dq_link, work.acceleration,
-                                                          work.jerk, work.jerk)
     chain.reference_torque(measured.dq_link, work.acceleration, work.jerk, work.ref[:3],
                            work.ref[1:], links, work.chain, work.rigid)
     for j in range(n):
@@ -147,7 +147,7 @@ def _model_motion(state, measured, constants, work):
     chain.mass_solve(work.scratch, links, work.chain, work.jerk)
 
 
-@compiled
+@compiled_part
 def _friction_derivatives(state, measured, constants, work):
     """Complete F_hat with the derivatives the chosen compensation defines."""
     out = work.estimate
@@ -160,7 +160,7 @@ def _friction_derivatives(state, measured, constants, work):
             work.correction, work.slope, work.correction_rate, constants.friction, out[2])
 
 
-@compiled
+@compiled_part
 def _elastic_torque(measured, reference, constants, work):
     """Write u_ed and its first two derivatives into work.torque, Eq. (11)."""
     n, ref = constants.kd_link.shape[0], work.ref
@@ -180,7 +180,7 @@ def _elastic_torque(measured, reference, constants, work):
             work.torque[k, j] += work.rigid[k, j] + work.estimate[k, j]
 
 
-@compiled
+@compiled_part
 def _motor_law(state, measured, constants, work):
     """Write the limited motor torque into state.command, Eqs. (9), (27) to (29)."""
     links, torque = constants.chain, work.torque
@@ -215,7 +215,8 @@ def tick(state, measured, reference, dt, constants, work) -> None:
     link_errors(state, measured, reference, constants, work)
     _spring_torques(state, measured, constants, work)
     compensation.estimate(state, measured, reference, dt, constants, work)
-    state.friction_hat[:] = work.estimate[0]
+    for j in range(constants.kd_link.shape[0]):
+        state.friction_hat[j] = work.estimate[0, j]
     _model_motion(state, measured, constants, work)
     _friction_derivatives(state, measured, constants, work)
     _elastic_torque(measured, reference, constants, work)

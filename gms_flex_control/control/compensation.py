@@ -10,7 +10,7 @@ derivatives to the model's acceleration and jerk.
 """
 
 from gms_flex_control import friction as gms
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.control import observer
 from gms_flex_control.dynamics import chain
 from gms_flex_control.params.gains import COMPENSATIONS
@@ -53,7 +53,7 @@ def estimate(state, measured, reference, dt, constants, work) -> None:
     state.started[0] = 1.0
 
 
-@compiled
+@compiled_part
 def _none(state, measured, dt, constants, work):
     """Blocks follow the measured motion, for a mode that is switched on later."""
     _take_displacement(state, measured.q_link, work)
@@ -63,7 +63,7 @@ def _none(state, measured, dt, constants, work):
                      work.correction, work.resting, dt, constants.friction)
 
 
-@compiled
+@compiled_part
 def _gms(state, measured, reference, dt, constants, work):
     """
     GMS on reference plus slow deviation, sign of the last motion, command filter.
@@ -83,7 +83,7 @@ def _gms(state, measured, reference, dt, constants, work):
     _gms_torque(state, measured.dq_link, dt, constants, work)
 
 
-@compiled
+@compiled_part
 def _gms_paper(state, measured, dt, constants, work):
     """GMS on the measured motion, the sign smoothed by a tanh: the paper's, corrected."""
     _take_displacement(state, measured.q_link, work)
@@ -95,7 +95,7 @@ def _gms_paper(state, measured, dt, constants, work):
     _gms_torque(state, measured.dq_link, dt, constants, work)
 
 
-@compiled
+@compiled_part
 def _gms_desired(state, reference, dt, constants, work):
     """GMS driven by the desired motion alone: a feedforward that no encoder disturbs."""
     _take_displacement(state, reference[0], work)
@@ -104,7 +104,7 @@ def _gms_desired(state, reference, dt, constants, work):
     _gms_torque(state, reference[1], dt, constants, work)
 
 
-@compiled
+@compiled_part
 def _gms_torque(state, velocity, dt, constants, work):
     """Advance the blocks and write their F_hat, Eqs. (18) to (20)."""
     blocks = state.observer.blocks
@@ -113,7 +113,7 @@ def _gms_torque(state, velocity, dt, constants, work):
     gms.total(blocks, velocity, constants.friction, work.estimate[0])
 
 
-@compiled
+@compiled_part
 def _gms_adaptive(state, measured, dt, constants, work):
     """
     Adaptive GMS with parameter projection, after Nilkhamhang and Sano (2006).
@@ -143,7 +143,7 @@ def _gms_adaptive(state, measured, dt, constants, work):
         work.estimate[0, j] = total
 
 
-@compiled
+@compiled_part
 def _stribeck(measured, constants, work):
     """Write static friction, Eq. (6), ``tanh(k_v v) s(v) + sigma_2 v``."""
     for j in range(constants.kd_link.shape[0]):
@@ -153,7 +153,7 @@ def _stribeck(measured, constants, work):
                                + constants.friction.viscous[row, j] * velocity)
 
 
-@compiled
+@compiled_part
 def _lugre(state, measured, constants, work):
     """
     Estimate by LuGre on the measured motion, ``dz/dt = v - sigma_0 abs(v) z / s(v)``.
@@ -181,7 +181,7 @@ def advance_bristle(bristle, displacement, stiffness, level) -> float:
     return end + (bristle - end) * np.exp(-stiffness * abs(displacement) / level)
 
 
-@compiled
+@compiled_part
 def _disturbance_observer(state, measured, dt, constants, work):
     """
     Friction is what the links lack of the model's acceleration; no friction model is known.
@@ -190,7 +190,8 @@ def _disturbance_observer(state, measured, dt, constants, work):
     equation (1); M(q) times it is the friction.
     """
     links, found = constants.chain, state.observer
-    work.chain.tau[:] = work.spring
+    for j in range(constants.kd_link.shape[0]):
+        work.chain.tau[j] = work.spring[j]
     chain.accelerations(measured.q_link, measured.dq_link, links, work.chain)
     pole = np.exp(-DISTURBANCE_BANDWIDTH * dt)
     for j in range(constants.kd_link.shape[0]):
@@ -206,7 +207,7 @@ def _disturbance_observer(state, measured, dt, constants, work):
         work.estimate[0, j] = -work.scratch[j]
 
 
-@compiled
+@compiled_part
 def _take_displacement(state, seen, work):
     """Write how far ``seen`` (n,) has moved since the tick before into work.displacement."""
     for j in range(work.displacement.shape[0]):
@@ -216,7 +217,7 @@ def _take_displacement(state, seen, work):
         state.q_before[j] = seen[j]
 
 
-@compiled
+@compiled_part
 def _take_correction(state, constants, work):
     """Write k_e s_1 into work.correction; 0 where the error is that of a limited torque."""
     for j in range(constants.kd_link.shape[0]):
@@ -225,7 +226,7 @@ def _take_correction(state, constants, work):
             work.correction[j] = 0.0
 
 
-@compiled
+@compiled_part
 def _take_direction(state, work):
     """Write the sign of the last motion, this displacement included, into work.smooth."""
     blocks = state.observer.blocks
@@ -235,7 +236,7 @@ def _take_direction(state, work):
         work.slope[j] = 0.0
 
 
-@compiled
+@compiled_part
 def _filter_derivatives(state, dt, constants, work):
     """Write the derivatives of F_hat from the command filter that follows it."""
     filtered = state.observer.filtered
@@ -247,7 +248,7 @@ def _filter_derivatives(state, dt, constants, work):
         work.estimate[2, j] = bandwidth * (bandwidth * offset - 2.0 * filtered[1, j])
 
 
-@compiled
+@compiled_part
 def _level_at(j, velocity, friction):
     """Return s(v) and the row of the direction of joint ``j`` moving with ``velocity``."""
     row = gms.FORWARD if velocity >= 0.0 else gms.BACKWARD

@@ -13,7 +13,7 @@ from functools import cache
 
 from gms_flex_control import friction as gms
 from gms_flex_control import records
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.friction import BACKWARD, FORWARD, level_of
 from gms_flex_control.records import FLOAT
 import numpy as np
@@ -50,7 +50,7 @@ def bounded(correction, limit) -> float:
     return min(max(correction, -limit), limit)
 
 
-@compiled
+@compiled_part
 def advance_blocks(torque, sticking, turned, sign, smooth, displacement, level, correction,
                    attraction, dt, stiffness, weight) -> None:
     """
@@ -95,7 +95,7 @@ def advance(blocks, displacement, velocity, smooth, correction, resting, dt, fri
                        friction.stiffness[j], friction.weight[j])
 
 
-@compiled
+@compiled_part
 def first_derivative(blocks, velocity, acceleration, smooth, correction, friction, out) -> None:
     """Write dF_hat/dt (n,) of the analytic observer into ``out``, Eqs. (19) and (20)."""
     for j in range(friction.attraction.shape[0]):
@@ -111,14 +111,14 @@ def first_derivative(blocks, velocity, acceleration, smooth, correction, frictio
         out[j] = total
 
 
-@compiled
+@compiled_part
 def slip_rate(torque, weight, attraction, smooth, level, correction) -> float:
     """Return dF_i/dt of a slipping block, Eq. (20)."""
     pushed = bounded(correction, LARGEST_CORRECTION * weight * attraction)
     return attraction * (weight * smooth - torque / level) - pushed
 
 
-@compiled
+@compiled_part
 def second_derivative(blocks, velocity, acceleration, jerk, smooth, correction, slope,
                       correction_rate, friction, out) -> None:
     """
@@ -145,7 +145,7 @@ def second_derivative(blocks, velocity, acceleration, jerk, smooth, correction, 
         out[j] = total
 
 
-@compiled
+@compiled_part
 def filter_step(filtered, goal, bandwidth, dt) -> None:
     """Advance the critically damped command filter (2, n) in place towards ``goal`` (n,)."""
     for j in range(goal.shape[0]):

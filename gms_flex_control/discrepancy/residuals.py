@@ -14,7 +14,7 @@ from functools import partial
 
 from gms_flex_control import friction as gms
 from gms_flex_control import records
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.data.signal_analysis import derivatives, low_pass
 from gms_flex_control.discrepancy.motion import filtered_alike, weight_of_neighbours
 from gms_flex_control.discrepancy.samples import second_difference, smoothing
@@ -55,7 +55,7 @@ def mean_applied(command, supply, time, period, constants, state, work, out) -> 
                 out[k, j] += s[j, sig.TORQUE] / _SUBSTEPS
 
 
-@compiled
+@compiled_part
 def replay_friction(k, states, period, constants, state, work) -> None:
     """Move the blocks to sample ``k`` and write the friction torques into ``work.friction``."""
     for j in range(states.shape[2]):

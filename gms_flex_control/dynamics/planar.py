@@ -15,7 +15,7 @@ joints read 0 at other angles than along the x axis, ``theta = T (q + offset)``.
 from functools import cache
 
 from gms_flex_control import records
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.dynamics.vectors import (
     factorise,
     multiply,
@@ -225,7 +225,7 @@ def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out) -> 
     multiply_transposed(links.orientation, work.acceleration, out[2])
 
 
-@compiled
+@compiled_part
 def _pull(i, links, work):
     """Return the torque of gravity on link ``i`` in absolute angles, with two derivatives."""
     gx, gy = links.gravity[0], links.gravity[1]

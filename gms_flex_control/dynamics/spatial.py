@@ -16,7 +16,7 @@ and Wensing 2021, their B(I, v) w written out). Its time derivatives are those o
 from functools import cache
 
 from gms_flex_control import records
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.dynamics import vectors as vec
 from gms_flex_control.params.arm import Body, joined
 from gms_flex_control.records import FLOAT
@@ -135,7 +135,7 @@ def mass_matrix(links, work) -> None:
             work.matrix[j, j] += links.motor_inertia[j]
 
 
-@compiled
+@compiled_part
 def bias_torque(dq, links, work, out) -> None:
     """Write ``C dq + g`` at rates ``dq`` (n,) into ``out`` (n,), after `pose`."""
     n = links.motor_inertia.shape[0]
@@ -169,7 +169,7 @@ def bias_torque(dq, links, work, out) -> None:
             out[i] = vec.dot(vec.vector(work.axis[i]), force)
 
 
-@compiled
+@compiled_part
 def swung(omega, alpha, arm) -> tuple:
     """Return the acceleration of a point at ``arm`` from a point of the same body."""
     return vec.add(vec.cross(alpha, arm), vec.cross(omega, vec.cross(omega, arm)))
@@ -288,7 +288,7 @@ def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out) -> 
         moment = vec.add_series(moment, vec.cross_series(shift, force))
 
 
-@compiled
+@compiled_part
 def _joint_series(i, dq, ddq, links, work):
     """Return where joint ``i`` shifts its link's frame, and cosine and sine of its angle."""
     position = vec.vector(links.position[i])
@@ -302,28 +302,28 @@ def _joint_series(i, dq, ddq, links, work):
              vec.scale(0.5 * ddq[i], z)), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-@compiled
+@compiled_part
 def _inward(frame, c, s, a):
     """Return a series given in the frame before a joint in the frame of its link."""
     return vec.turned_back(c, s, (vec.project(frame, a[0]), vec.project(frame, a[1]),
                                   vec.project(frame, a[2])))
 
 
-@compiled
+@compiled_part
 def _outward(frame, c, s, a):
     """Return a series given in a link's frame in the frame before its joint."""
     a = vec.turned(c, s, a)
     return vec.combine(frame, a[0]), vec.combine(frame, a[1]), vec.combine(frame, a[2])
 
 
-@compiled
+@compiled_part
 def _along_z(a, x):
     """Return a series of vectors plus one of numbers along z."""
     return ((a[0][0], a[0][1], a[0][2] + x[0]), (a[1][0], a[1][1], a[1][2] + x[1]),
             (a[2][0], a[2][1], a[2][2] + x[2]))
 
 
-@compiled
+@compiled_part
 def _cross_z(a, x):
     """Return the vector product of a series with one of numbers along z."""
     u = vec.product((a[0][1], a[1][1], a[2][1]), x)
@@ -331,7 +331,7 @@ def _cross_z(a, x):
     return (u[0], -v[0], 0.0), (u[1], -v[1], 0.0), (u[2], -v[2], 0.0)
 
 
-@compiled
+@compiled_part
 def _about_frame(m, c, own):
     """Return first moment, inertia and pseudo-inertia of a link about its frame."""
     h = vec.scale(m, c)

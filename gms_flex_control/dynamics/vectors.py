@@ -10,7 +10,7 @@ vectors: products of series give time derivatives without a difference quotient.
 matrices of any size, as arrays.
 """
 
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 
 Vector = Columns = Series = Symmetric = tuple
 
@@ -57,7 +57,7 @@ def cross(a, b) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled
+@compiled_part
 def combine(columns, v) -> Vector:
     """Return a matrix, given by its columns, times a vector."""
     x, y, z = columns
@@ -65,7 +65,7 @@ def combine(columns, v) -> Vector:
             x[2] * v[0] + y[2] * v[1] + z[2] * v[2])
 
 
-@compiled
+@compiled_part
 def project(columns, v) -> Vector:
     """Return the transpose of a matrix, given by its columns, times a vector."""
     return dot(columns[0], v), dot(columns[1], v), dot(columns[2], v)
@@ -78,20 +78,20 @@ def rotation(values) -> Columns:
             (values[0, 2], values[1, 2], values[2, 2]))
 
 
-@compiled
+@compiled_part
 def symmetric(values) -> Symmetric:
     """Return an array (6,) as a symmetric matrix."""
     return values[0], values[1], values[2], values[3], values[4], values[5]
 
 
-@compiled
+@compiled_part
 def symmetric_times(s, v) -> Vector:
     """Return a symmetric matrix times a vector."""
     return (s[0] * v[0] + s[1] * v[1] + s[2] * v[2], s[1] * v[0] + s[3] * v[1] + s[4] * v[2],
             s[2] * v[0] + s[4] * v[1] + s[5] * v[2])
 
 
-@compiled
+@compiled_part
 def rotated(s, columns) -> Symmetric:
     """Return R S R' of a symmetric matrix S and the columns of R."""
     x, y, z = columns
@@ -103,45 +103,45 @@ def rotated(s, columns) -> Symmetric:
             a[1] * x[2] + b[1] * y[2] + c[1] * z[2], a[2] * x[2] + b[2] * y[2] + c[2] * z[2])
 
 
-@compiled
+@compiled_part
 def store_series(out, s) -> None:
     """Write a series into an array (3, 3), one row per order."""
     for k in range(3):
         store(out[k], s[k])
 
 
-@compiled
+@compiled_part
 def load_series(values) -> Series:
     """Return an array (3, 3) as a series."""
     return vector(values[0]), vector(values[1]), vector(values[2])
 
 
-@compiled
+@compiled_part
 def add_series(a, b) -> Series:
     """Return a + b."""
     return add(a[0], b[0]), add(a[1], b[1]), add(a[2], b[2])
 
 
-@compiled
+@compiled_part
 def cross_series(a, b) -> Series:
     """Return the vector product of two series."""
     return (cross(a[0], b[0]), add(cross(a[1], b[0]), cross(a[0], b[1])),
             add(add(cross(a[2], b[0]), cross(a[1], b[1])), cross(a[0], b[2])))
 
 
-@compiled
+@compiled_part
 def constant_cross(a, b) -> Series:
     """Return the vector product of a constant vector and a series."""
     return cross(a, b[0]), cross(a, b[1]), cross(a, b[2])
 
 
-@compiled
+@compiled_part
 def scale_series(factor, a) -> Series:
     """Return a number times a series."""
     return scale(factor, a[0]), scale(factor, a[1]), scale(factor, a[2])
 
 
-@compiled
+@compiled_part
 def symmetric_times_series(s, a) -> Series:
     """Return a constant symmetric matrix times a series."""
     return symmetric_times(s, a[0]), symmetric_times(s, a[1]), symmetric_times(s, a[2])
@@ -164,7 +164,7 @@ def turned(c, s, a) -> Series:
             (cx[2] - sy[2], sx[2] + cy[2], a[2][2]))
 
 
-@compiled
+@compiled_part
 def turned_back(c, s, a) -> Series:
     """Return a series of vectors turned about z by minus the angle of cosine and sine."""
     return turned(c, (-s[0], -s[1], -s[2]), a)
@@ -181,7 +181,7 @@ def multiply(matrix, vector, out) -> None:
         out[i] = total
 
 
-@compiled
+@compiled_part
 def multiply_transposed(matrix, vector, out) -> None:
     """Write the transpose of ``matrix`` (n, n) times ``vector`` (n,) into ``out`` (n,)."""
     n = matrix.shape[0]
@@ -192,7 +192,7 @@ def multiply_transposed(matrix, vector, out) -> None:
         out[i] = total
 
 
-@compiled
+@compiled_part
 def factorise(matrix) -> None:
     """Factorise a symmetric positive definite matrix (n, n) in its upper triangle, in place."""
     n = matrix.shape[0]
@@ -205,7 +205,7 @@ def factorise(matrix) -> None:
         matrix[i, i] = reciprocal
 
 
-@compiled
+@compiled_part
 def solve_factorised(matrix, vector) -> None:
     """Solve for ``vector`` (n,) in place, the matrix of `factorise`."""
     n = matrix.shape[0]

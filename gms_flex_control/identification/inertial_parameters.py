@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.dynamics import vectors as vec
 from gms_flex_control.params.arm import ArmParams, Body, in_space
@@ -36,7 +36,7 @@ IN_PLANE = (0, 1, 9)  # of ten numbers: mass, centre of mass along the link, ine
 _PRIOR_SD = 0.3     # of a change of a Cholesky factor, and of the logarithm of motor inertia
 
 
-@compiled
+@compiled_part
 def _regressor(q, dq, ddq, links, out) -> None:
     """
     Write the torque of each joint per unit of ten numbers of each link into ``out`` (n, 10 n).
@@ -86,7 +86,7 @@ def _regressor(q, dq, ddq, links, out) -> None:
                 column += 1
 
 
-@compiled
+@compiled_part
 def _unit_times(a, b, vector):
     """Return the symmetric matrix with ones at (a, b) and (b, a) alone, times a vector."""
     va = vector[0] if a == 0 else vector[1] if a == 1 else vector[2]
@@ -97,7 +97,7 @@ def _unit_times(a, b, vector):
             (vb if a == 2 else 0.0) + (other if b == 2 else 0.0))
 
 
-@compiled
+@compiled_part
 def _add_columns(i, column, force, moment, axes, places, links, out):
     """Write the torques of a force and a moment at the frame of link ``i`` on all joints."""
     place = vec.vector(places[i])

@@ -6,7 +6,7 @@
 from functools import cache, lru_cache
 
 from gms_flex_control import records
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.records import FLOAT
 import numpy as np
 
@@ -61,7 +61,7 @@ def _count(angle, normal, constants):
     return angle
 
 
-@compiled
+@compiled_part
 def _velocity(velocity, change, true_velocity, started, period, gain):
     """Return the low-passed difference quotient, or the true velocity without a filter gain."""
     if gain == 0.0:

@@ -13,7 +13,7 @@ from functools import cache, lru_cache
 
 from gms_flex_control import friction as gms
 from gms_flex_control import records
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
@@ -82,7 +82,7 @@ def workspace(n) -> np.record:
     return records.build(work_layout(n))
 
 
-@compiled
+@compiled_part
 def fill_signals(state, command, time, work) -> None:
     """Write what the effects may read into the signal table."""
     s = work.signals
@@ -131,7 +131,7 @@ def torques(state, dt, constants, work) -> None:
                              + work.outside[j])
 
 
-@compiled
+@compiled_part
 def sensed(state, command, time, period, constants, work) -> None:
     """Write the angles that encoders are given into the signals, errors of sensors included."""
     fill_signals(state, command, time, work)

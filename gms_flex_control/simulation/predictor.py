@@ -16,7 +16,7 @@ breaks away within one count by half a count, most of its whole load.
 """
 
 from gms_flex_control import friction as gms
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.dynamics import chain
 import numpy as np
 
@@ -73,7 +73,7 @@ def outside(error, half) -> float:
     return 0.0
 
 
-@compiled
+@compiled_part
 def level_tangents(j, a, sign, velocity, d_dq, directions, friction, out) -> None:
     """
     Write the derivative of s(v) of joint ``j`` (Eq. 4) along each direction to ``out`` (P,).
@@ -96,7 +96,7 @@ def level_tangents(j, a, sign, velocity, d_dq, directions, friction, out) -> Non
                        + slope * x * directions[rows + VELOCITY, p])
 
 
-@compiled
+@compiled_part
 def advance_tangents(j, a, displacement, d_displacement, velocity, d_dq, dt, state, directions,
                      friction, d_level, d_torque) -> None:
     """
@@ -145,7 +145,7 @@ def advance_tangents(j, a, displacement, d_displacement, velocity, d_dq, dt, sta
                                       - slower * directions[ATTRACTION, p])
 
 
-@compiled
+@compiled_part
 def mobility(carried, links, work, out) -> None:
     """Write the inverse of M between the ``carried`` joints, all others held, to ``out``."""
     m = carried.shape[0]
@@ -163,7 +163,7 @@ def mobility(carried, links, work, out) -> None:
                     out[a, b] -= factor * out[pivot, b]
 
 
-@compiled
+@compiled_part
 def accelerate(torque, further, joint, q, dq, state, links, friction, work) -> None:
     """Write the accelerations under ``torque`` (n,), ``further`` on ``joint`` and friction."""
     gms.total(state, dq, friction, work.friction)
@@ -173,7 +173,7 @@ def accelerate(torque, further, joint, q, dq, state, links, friction, work) -> N
     chain.accelerations(q, dq, links, work.chain)
 
 
-@compiled
+@compiled_part
 def advance_links(error, gains, period, q, dq, work) -> None:
     """Advance angles and rates (n,) by one sample; ``error`` (n,) draws them to the encoders."""
     for j in range(q.shape[0]):
@@ -183,7 +183,7 @@ def advance_links(error, gains, period, q, dq, work) -> None:
         q[j] += work.displacement[j] + period * gains[0, j] * error[j]
 
 
-@compiled
+@compiled_part
 def torque_tangents(j, a, k, dq, extra, state, directions, friction, d_torque, d_dq, out) -> None:
     """Write the derivative of the torque on joint ``j`` at sample ``k`` into row a of ``out``."""
     blocks, width = d_torque.shape[1:]
@@ -287,7 +287,7 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
                 gms.advance_joint(j, state, work.displacement[j], dq[j], period, friction)
 
 
-@compiled
+@compiled_part
 def is_among(j, carried) -> bool:
     """Return whether joint ``j`` is among ``carried`` (m,)."""
     for a in range(carried.shape[0]):
@@ -296,7 +296,7 @@ def is_among(j, carried) -> bool:
     return False
 
 
-@compiled
+@compiled_part
 def further_torque(coefficients, extra) -> float:
     """Return the sum of further torques, coefficients (R,) times ``extra`` (R,)."""
     total = 0.0
@@ -335,7 +335,7 @@ def simulate_freely(angle, rate, torque, extra, coefficients, period, links, fri
                  links, friction, work)
 
 
-@compiled
+@compiled_part
 def copy_state(state, q, dq, freed, free_q, free_dq) -> None:
     """Copy blocks, angles and rates."""
     for j in range(q.shape[0]):
@@ -345,7 +345,7 @@ def copy_state(state, q, dq, freed, free_q, free_dq) -> None:
             freed.torque[j, i], freed.sticking[j, i] = state.torque[j, i], state.sticking[j, i]
 
 
-@compiled
+@compiled_part
 def one_step(torque, extra, coefficients, joint, error, gains, period, q, dq, state, links,
              friction, work) -> None:
     """Advance links and blocks by one sample, in place."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from math import comb
 
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.errors import TrajectoryError
 from gms_flex_control.params.arm import Frames
 import numpy as np
@@ -87,7 +87,7 @@ def joined(parts, *, end) -> Trajectory:
         name: np.concatenate([getattr(part, name) for part in parts]) for name in _SEGMENTED})
 
 
-@compiled
+@compiled_part
 def _poly_derivatives(coefficients, x, rate, out):
     """Write value and time derivatives 1 to 4 of a polynomial in x, dx/dt = rate, to ``out``."""
     scale = 1.0
@@ -102,7 +102,7 @@ def _poly_derivatives(coefficients, x, rate, out):
         scale *= rate
 
 
-@compiled
+@compiled_part
 def _wave_derivatives(amplitude, omega, angle, out):
     """Write ``amplitude sin(angle)`` and its time derivatives 1 to 4 to ``out`` (5,)."""
     sine, cosine = amplitude * np.sin(angle), amplitude * np.cos(angle)
