@@ -9,7 +9,7 @@ import re
 
 from core_runs import model_with_error
 from gms_flex_control.control import cascade
-from gms_flex_control.simulation import encoder, loop, plant
+from gms_flex_control.simulation import loop, plant
 from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
@@ -41,7 +41,8 @@ class IdealLoop:
         n = robot.n_joints
         self.gains, self.robot, self.trajectory, self.time = gains, robot, trajectory, start
         self.constants, self.work = cascade.constants_of(gains, robot), cascade.workspace(n)
-        self.state, world, self.measured = cascade.init(robot), plant.init(robot), encoder.init(n)
+        self.state, self.measured = cascade.init(robot), cascade.measurement(n)
+        world = plant.init(robot)
         period = 1e-3
         for k in range(int(round(start / period)) + 1):
             self.copy_from(world)
@@ -185,7 +186,7 @@ def test_the_correction_stands_still_while_the_torque_is_limited(ideal_robot, ga
     loop = with_mode(gains, 'gms', observer_gain=np.ones(2), torque_limit=limit)
     state, work = cascade.init(ideal_robot), cascade.workspace(2)
     constants = cascade.constants_of(loop, ideal_robot)
-    measured = encoder.init(2)
+    measured = cascade.measurement(2)
     reference = np.zeros((5, 2))
     for k in range(3):
         reference[0], reference[1] = 0.02 + 1e-4 * k, 0.05

@@ -22,7 +22,8 @@ def measure(angles, params, seed=0, rates=None):
     for angle, rate in zip(angles, rates, strict=True):
         encoder.draw(state, constants, rng)
         encoder.measure(state, angle, 2 * angle, rate, 3 * rate, PERIOD, constants)
-        out.append(np.stack([state.q_link, state.dq_link, state.q_motor, state.dq_motor]))
+        seen = state.output
+        out.append(np.stack([seen.q_link, seen.dq_link, seen.q_motor, seen.dq_motor]))
     return np.array(out)
 
 

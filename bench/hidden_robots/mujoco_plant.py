@@ -75,9 +75,9 @@ def under_cascade(robot, model, gains, reference, period, scene, angles, torques
         lead, lead_motor = 0.5 * dt * x.v, 0.5 * dt * x.v_motor
         x.q[:] -= lead
         x.q_motor[:] -= lead_motor
-        loop.sense(x, time, period, c, scene.measured, scene.encoders, scene.rng)
-        cascade.tick(state, scene.measured, reference[k], period if k else 0.0, gains, work)
-        loop.write_sample(k, x, c, scene.measured, state, angles, torques)
+        loop.sense(x, time, period, c, scene.sensed, scene.encoders, scene.rng)
+        cascade.tick(state, scene.sensed.output, reference[k], period if k else 0.0, gains, work)
+        loop.write_sample(k, x, c, scene.sensed.output, state, angles, torques)
         x.q[:] += lead
         x.q_motor[:] += lead_motor
         x.applied[:] = 0.0

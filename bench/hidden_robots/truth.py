@@ -38,7 +38,7 @@ class Scene(NamedTuple):
     drawn: np.ndarray     # (T,) its random numbers
     supply: np.ndarray    # (T,) [V]
     noise: np.ndarray     # (T, n) torque of the drives [N m]
-    measured: np.record
+    sensed: np.record
     encoders: np.record
     rng: np.random.Generator
 
@@ -133,7 +133,7 @@ def simulate(robot, model, gains, reference, *, period=2e-3, seed=0, disturbance
         strange=strange_record(disturbance),
         drawn=np.zeros(samples) if disturbance is None else disturbance.drawn,
         supply=np.zeros(samples) if supply is None else supply,
-        noise=np.zeros((samples, n)) if noise is None else noise, measured=encoder.init(n),
+        noise=np.zeros((samples, n)) if noise is None else noise, sensed=encoder.init(n),
         encoders=encoder.constants_of(robot.encoder), rng=np.random.default_rng(seed))
     drive(robot, model, gains, np.ascontiguousarray(reference), period, scene, angles, torques)
     sound = np.isfinite(angles).all(axis=(1, 2)) & (np.abs(angles[:, 4]) < 1e3).all(axis=1)

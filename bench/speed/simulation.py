@@ -12,7 +12,7 @@ from gms_flex_control.control import cascade
 from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.records import boxed
-from gms_flex_control.simulation import encoder, loop, plant
+from gms_flex_control.simulation import loop, plant
 from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
@@ -135,7 +135,7 @@ def measure_tick(robot, gains, quick=False):
     """Time one tick of the controller and of the plant, in a compiled loop and from Python."""
     count, repetitions = (200, 3) if quick else (5000, 15)
     references = reference_motion(robot).sample(np.arange(count) * PERIOD)
-    state, measured = boxed(cascade.init(robot)), boxed(encoder.init(robot.n_joints))
+    state, measured = boxed(cascade.init(robot)), boxed(cascade.measurement(robot.n_joints))
     cases = {}
     for mode in ('none', 'gms_paper', 'gms'):
         constants = boxed(cascade.constants_of(replace(gains, compensation=mode), robot))

@@ -46,6 +46,18 @@ def state_layout(n, n_blocks) -> np.dtype:
 
 
 @cache
+def measured_layout(n) -> np.dtype:
+    """Return the dtype of what is measured (n,): angles and velocities of both sides."""
+    return records.layout(*((name, FLOAT, (n,)) for name in (
+        'q_link', 'dq_link', 'q_motor', 'dq_motor')))
+
+
+def measurement(n) -> np.record:
+    """Return a record of `measured_layout`, zero."""
+    return records.build(measured_layout(n))
+
+
+@cache
 def constants_layout(links, n, n_blocks) -> np.dtype:
     """Return the dtype of gains and model, ``links`` its arm's, as the kernels take them."""
     return records.layout(
@@ -207,10 +219,9 @@ def tick(state, measured, reference, dt, constants, work) -> None:
     """
     Answer one measurement with a torque, ``state.command``, ``dt`` [s] after the one before.
 
-    ``state`` is of `state_layout`, changed in place; ``measured`` has fields ``q_link``,
-    ``dq_link``, ``q_motor``, ``dq_motor`` (n,); ``reference`` (5, n_joints) is the desired link
-    angle and its derivatives 1 to 4; ``constants`` and ``work`` are from `constants_of` and
-    `workspace`.
+    ``state`` is of `state_layout`, changed in place; ``measured``, of `measured_layout`;
+    ``reference`` (5, n_joints) is the desired link angle and its derivatives 1 to 4; ``constants``
+    and ``work`` are from `constants_of` and `workspace`.
     """
     link_errors(state, measured, reference, constants, work)
     _spring_torques(state, measured, constants, work)

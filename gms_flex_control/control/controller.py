@@ -3,12 +3,9 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The cascade law with its friction compensation, one joint state at a time, as a node runs it."""
 
-from functools import cache
-
-from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade, feedforward
-from gms_flex_control.records import boxed, FLOAT, views
+from gms_flex_control.records import boxed, views
 import numpy as np
 
 
@@ -17,13 +14,6 @@ def tick(state, measured, reference, dt, constants, work, feeding, fed) -> None:
     """Tick the controller and feed effects forward; records come boxed."""
     cascade.tick(state[0], measured[0], reference, dt, constants[0], work[0])
     feedforward.feed(state[0], measured[0], reference, dt, feeding[0], fed[0])
-
-
-@cache
-def _measured_layout(n):
-    """Return the dtype of what is measured (n,): angles and velocities of both sides."""
-    return records.layout(*((name, FLOAT, (n,)) for name in (
-        'q_link', 'dq_link', 'q_motor', 'dq_motor')))
 
 
 class SteppedController:
@@ -37,7 +27,7 @@ class SteppedController:
     def __init__(self, gains, model):
         self._model = feedforward.as_parameters(model)
         self._work = boxed(cascade.workspace(model.n_joints))
-        self._measured = boxed(records.build(_measured_layout(model.n_joints)))
+        self._measured = boxed(cascade.measurement(model.n_joints))
         self.measured = views(self._measured[0])
         self.use(gains)
         self.reset()

@@ -139,7 +139,8 @@ def residuals_along(states, second, friction, bias, inertial, carried, drive, re
     s, links, effects = work.signals, constants.chain, constants.effects
     samples, n = drive.shape
     last_friction = work.friction  # with what effects make of it
-    last_friction[:] = friction[0]
+    for j in range(n):
+        last_friction[j] = friction[0, j]
     for k in range(samples):
         plant.take_place(k, states, drive[k], time[k], state, work)
         plant.springs(state, period, constants, work)

@@ -130,10 +130,11 @@ def _fill_matrices(q, dq, ddq, d3q, links, work, mass, coriolis, gravity):
     reference_torque(dq, ddq, d3q, still, still, links, work, gravity)
     for j in range(n):
         unit[0, j] = 1.0
-        reference_torque(dq, ddq, d3q, still, unit, links, work, column)
-        mass[:, :, j] = column - gravity
-        reference_torque(dq, ddq, d3q, unit, still, links, work, column)
-        coriolis[:, :, j] = column - gravity
+        for matrix, rate, acceleration in ((mass, still, unit), (coriolis, unit, still)):
+            reference_torque(dq, ddq, d3q, rate, acceleration, links, work, column)
+            for a in range(3):
+                for i in range(n):
+                    matrix[a, i, j] = column[a, i] - gravity[a, i]
         unit[0, j] = 0.0
 
 

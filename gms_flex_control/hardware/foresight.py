@@ -64,8 +64,9 @@ def answer(merging, mapping, within, allowed, before, torque, given, watching, l
         reference = extrapolate(reference, ahead / NANOSECONDS)
     one, measured, constants, work, feeding, fed = law
     one, measured = one.copy(), measured.copy()
-    measured[0].q_link[:], measured[0].dq_link[:] = sides[0], sides[1]
-    measured[0].q_motor[:], measured[0].dq_motor[:] = sides[2], sides[3]
+    for j in range(sides.shape[1]):
+        measured[0].q_link[j], measured[0].dq_link[j] = sides[0, j], sides[1, j]
+        measured[0].q_motor[j], measured[0].dq_motor[j] = sides[2, j], sides[3, j]
     controller.tick(one, measured, reference, elapsed, constants, work, feeding, fed.copy())
     command = one[0].command
     if not np.isfinite(command).all():

@@ -7,6 +7,7 @@ from functools import cache, lru_cache
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled, compiled_part
+from gms_flex_control.control.cascade import measured_layout
 from gms_flex_control.records import FLOAT
 import numpy as np
 
@@ -14,15 +15,13 @@ import numpy as np
 @cache
 def state_layout(n) -> np.dtype:
     """
-    Return the dtype of what is measured: the encoders' memory and their output in one.
+    Return the dtype of encoders: ``output``, what they measure, and their memory.
 
-    ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n,) are the measured values; ``started``
-    is 0 before the first sample; ``normal`` (n, 2), standard normal numbers for the noise of
-    link and motor side.
+    ``output`` is of `control.cascade.measured_layout`; ``started`` is 0 before the first sample;
+    ``normal`` (n, 2), standard normal numbers for the noise of link and motor side.
     """
-    return records.layout(
-        *((name, FLOAT, (n,)) for name in ('q_link', 'dq_link', 'q_motor', 'dq_motor')),
-        ('started', FLOAT, (1,)), ('normal', FLOAT, (n, 2)))
+    return records.layout(('output', measured_layout(n)), ('started', FLOAT, (1,)),
+                          ('normal', FLOAT, (n, 2)))
 
 
 LAYOUT = records.layout(('resolution', FLOAT, (1,)), ('noise', FLOAT, (1,)),
@@ -43,12 +42,12 @@ def init(n) -> np.record:
 
 
 @compiled
-def draw(measured, constants, rng) -> None:
+def draw(state, constants, rng) -> None:
     """Draw the numbers of one sample's noise, if there is any, from a random generator."""
     if constants.noise[0] > 0.0:
-        for j in range(measured.q_link.shape[0]):
-            measured.normal[j, 0] = rng.standard_normal()
-            measured.normal[j, 1] = rng.standard_normal()
+        for j in range(state.normal.shape[0]):
+            state.normal[j, 0] = rng.standard_normal()
+            state.normal[j, 1] = rng.standard_normal()
 
 
 @compiled
@@ -72,24 +71,24 @@ def _velocity(velocity, change, true_velocity, started, period, gain):
 
 
 @compiled
-def measure(measured, seen_link, seen_motor, dq_link, dq_motor, period, constants) -> None:
+def measure(state, seen_link, seen_motor, dq_link, dq_motor, period, constants) -> None:
     """
-    Write one sample of all encoders into ``measured``, whose noise is from `draw`.
+    Write one sample of all encoders into ``state.output``, with noise from `draw`.
 
     ``seen_link``, ``seen_motor`` (n,) are the angles the encoders are given [rad]; the true rates
     ``dq_link``, ``dq_motor`` (n,) are read where there is no velocity cut-off [rad/s].
     """
-    started = measured.started[0] > 0.0
+    measured, normal, started = state.output, state.normal, state.started[0] > 0.0
     gain = 1.0 - np.exp(-2.0 * np.pi * constants.velocity_cutoff[0] * period)
     for j in range(measured.q_link.shape[0]):
-        angle = _count(seen_link[j], measured.normal[j, 0], constants)
+        angle = _count(seen_link[j], normal[j, 0], constants)
         measured.dq_link[j] = _velocity(
             measured.dq_link[j], angle - measured.q_link[j], dq_link[j], started, period,
             gain)
         measured.q_link[j] = angle
-        angle = _count(seen_motor[j], measured.normal[j, 1], constants)
+        angle = _count(seen_motor[j], normal[j, 1], constants)
         measured.dq_motor[j] = _velocity(
             measured.dq_motor[j], angle - measured.q_motor[j], dq_motor[j], started, period,
             gain)
         measured.q_motor[j] = angle
-    measured.started[0] = 1.0
+    state.started[0] = 1.0

@@ -30,24 +30,24 @@ class Run:
 
 
 @compiled
-def sense(measured, state, time, period, constants, encoders, work) -> None:
+def sense(sensed, state, time, period, constants, encoders, work) -> None:
     """Measure one sample with the noise drawn before: sensor effects first, then encoders."""
     plant.sensed(state, state.applied, time, period, constants, work)
     s = work.signals
-    encoder.measure(measured, s[:, sig.SENSED_LINK], s[:, sig.SENSED_MOTOR], state.dq_link,
+    encoder.measure(sensed, s[:, sig.SENSED_LINK], s[:, sig.SENSED_MOTOR], state.dq_link,
                     state.dq_motor, period, encoders)
 
 
 @compiled
 def _run_loop(reference, is_effort, travel, supply, begin, first, period, substeps, plant_state,
-              plant_constants, plant_work, measured, encoders, rng, control_state, feed_state,
+              plant_constants, plant_work, sensed, encoders, rng, control_state, feed_state,
               control_constants, feed_constants, control_work, angles, torques):
     """Fill ``angles`` (T, 8, n) and ``torques`` (T, 4, n); return samples, see `Loop.run`."""
-    n = plant_state.q_link.shape[0]
+    n, measured = plant_state.q_link.shape[0], sensed.output
     for k in range(reference.shape[0]):
         time = begin + (first + k) * period
-        encoder.draw(measured, encoders, rng)
-        sense(measured, plant_state, time, period, plant_constants, encoders, plant_work)
+        encoder.draw(sensed, encoders, rng)
+        sense(sensed, plant_state, time, period, plant_constants, encoders, plant_work)
         if is_effort:
             for j in range(n):
                 limit = control_constants.torque_limit[j]
@@ -154,9 +154,9 @@ def _advance(state, command, time, period, substeps, constants, work):
 
 
 @compiled
-def _sense(measured, state, time, period, constants, encoders, work):
+def _sense(sensed, state, time, period, constants, encoders, work):
     """Read the encoders; records come boxed."""
-    sense(measured[0], state[0], time, period, constants[0], encoders[0], work[0])
+    sense(sensed[0], state[0], time, period, constants[0], encoders[0], work[0])
 
 
 class SteppedPlant:
@@ -174,17 +174,19 @@ class SteppedPlant:
         self._encoders = boxed(encoder.constants_of(robot.encoder))
         self._work = boxed(plant.workspace(robot.n_joints))
         self._state = boxed(plant.init(robot, q_link))
-        self._measured = boxed(encoder.init(robot.n_joints))
+        self._sensed = boxed(encoder.init(robot.n_joints))
         self._noisy, self._rng = bool(robot.encoder.noise > 0), np.random.default_rng(seed)
-        self.state, self.measured = self._state[0], views(self._measured[0])
+        sensed = self._sensed[0]
+        self.state, self.measured, self._normal = (
+            self._state[0], views(sensed.output), sensed.normal)
         self.supply = self._work[0].signals[:, sig.SUPPLY]
         self.applied = self.state.applied  # torque given over the last sample (n_joints,) [N m]
 
     def measure(self) -> None:
         """Read the encoders into ``measured``."""
         if self._noisy:
-            self._rng.standard_normal(out=self.measured.normal)
-        _sense(self._measured, self._state, self._ticks * self._period, self._period,
+            self._rng.standard_normal(out=self._normal)
+        _sense(self._sensed, self._state, self._ticks * self._period, self._period,
                self._constants, self._encoders, self._work)
 
     def advance(self, command) -> None:

@@ -140,7 +140,8 @@ def extrapolate(reference, delay) -> np.ndarray:
     for k in range(DERIVATIVES):
         factor = 1.0
         for m in range(k, DERIVATIVES):
-            moved[k] += factor * reference[m]
+            for j in range(reference.shape[1]):
+                moved[k, j] += factor * reference[m, j]
             factor *= delay / (m - k + 1)
     return moved
 

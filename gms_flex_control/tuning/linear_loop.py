@@ -17,7 +17,6 @@ from typing import NamedTuple
 from gms_flex_control.control import cascade
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import table as effect_table
-from gms_flex_control.simulation import encoder
 import numpy as np
 from scipy.linalg import expm
 
@@ -112,7 +111,7 @@ def _controller_law(gains, model, pose, period):
     middle = np.concatenate([pose, np.zeros(n), motor, np.zeros(n), held, np.zeros(2 * n)])
 
     def answer(values):
-        state, measured = cascade.init(model), encoder.init(n)
+        state, measured = cascade.init(model), cascade.measurement(n)
         for name, value in zip(('q_link', 'dq_link', 'q_motor', 'dq_motor'),
                                values[:4 * n].reshape(4, n), strict=True):
             measured[name][:] = value

@@ -117,7 +117,8 @@ def step(x, command, time, dt, c, strange, drawn):
              x.a, x.a_motor)
     for j in range(x.q.shape[0]):
         x.applied[j] += x.signals[j, sig.TORQUE] * dt
-    x.scratch[:] = x.memory
+    for i in range(x.memory.shape[0]):
+        x.scratch[i] = x.memory[i]
     lean, lean_rate, a_base = 0.0, 0.0, 0.0
     if c.base[0] > 0.0:
         lean, lean_rate = x.base[0], x.base[1]
@@ -153,15 +154,15 @@ def advance(x, command, time, period, substeps, c, strange, drawn):
 
 
 @compiled
-def sense(x, time, period, c, measured, encoders, rng):
-    """Read the encoders into ``measured``, through the effects on sensors."""
+def sense(x, time, period, c, sensed, encoders, rng):
+    """Read the encoders into ``sensed.output``, through the effects on sensors."""
     s = x.signals
     fill(x, x.q, x.v, x.q_motor, x.v_motor, x.applied, time)
     for j in range(x.q.shape[0]):
         s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = s[j, sig.Q_LINK], s[j, sig.Q_MOTOR]
     effect_table.run_stage(_SENSOR, s, x.memory, period, c.effects)
-    encoder.draw(measured, encoders, rng)
-    encoder.measure(measured, s[:, sig.SENSED_LINK], s[:, sig.SENSED_MOTOR], s[:, sig.DQ_LINK],
+    encoder.draw(sensed, encoders, rng)
+    encoder.measure(sensed, s[:, sig.SENSED_LINK], s[:, sig.SENSED_MOTOR], s[:, sig.DQ_LINK],
                     s[:, sig.DQ_MOTOR], period, encoders)
 
 
@@ -179,27 +180,31 @@ def write_sample(k, x, c, measured, control_state, angles, torques):
 
 
 @compiled
-def run(reference, period, substeps, x, c, strange, drawn, supply, noise, measured, encoders, rng,
+def run(reference, period, substeps, x, c, strange, drawn, supply, noise, sensed, encoders, rng,
         control_state, control, control_work, angles, torques):
     """Run T samples under the cascade; fills ``angles`` and ``torques``, see write_sample."""
     for k in range(reference.shape[0]):
-        time, x.supply[0], x.noise[:] = k * period, supply[k], noise[k]
-        sense(x, time, period, c, measured, encoders, rng)
-        cascade.tick(control_state, measured, reference[k], period if k > 0 else 0.0, control,
+        time, x.supply[0] = k * period, supply[k]
+        for j in range(x.noise.shape[0]):
+            x.noise[j] = noise[k, j]
+        sense(x, time, period, c, sensed, encoders, rng)
+        cascade.tick(control_state, sensed.output, reference[k], period if k > 0 else 0.0, control,
                      control_work)
-        write_sample(k, x, c, measured, control_state, angles, torques)
+        write_sample(k, x, c, sensed.output, control_state, angles, torques)
         advance(x, control_state.command, time, period, substeps, c, strange, drawn[k])
 
 
 @compiled
-def run_pid(reference, period, substeps, x, c, strange, drawn, supply, noise, measured, encoders,
+def run_pid(reference, period, substeps, x, c, strange, drawn, supply, noise, sensed, encoders,
             rng, control, angles, torques):
     """Run T samples as `run` does, under PID controllers."""
     for k in range(reference.shape[0]):
-        time, x.supply[0], x.noise[:] = k * period, supply[k], noise[k]
-        sense(x, time, period, c, measured, encoders, rng)
-        pid.tick(control, measured, reference[k], period if k > 0 else 0.0)
-        write_sample(k, x, c, measured, control, angles, torques)
+        time, x.supply[0] = k * period, supply[k]
+        for j in range(x.noise.shape[0]):
+            x.noise[j] = noise[k, j]
+        sense(x, time, period, c, sensed, encoders, rng)
+        pid.tick(control, sensed.output, reference[k], period if k > 0 else 0.0)
+        write_sample(k, x, c, sensed.output, control, angles, torques)
         advance(x, control.command, time, period, substeps, c, strange, drawn[k])
 
 
