@@ -73,7 +73,7 @@ WITH_NODES = {
     'demo_identify': 12, 'nodes_sros2': 10}
 WITHOUT_NODES = {
     'identification_axis': 50,  # compiles for one joint meanwhile
-    'discrepancy_workflow': 50, 'tutorials': 24, 'results': 24, 'schema_urdf_arm': 24,
+    'discrepancy_workflow': 50, 'tutorials': 24, 'results': 24,
     'effects_learned': 24, 'design': 20, 'discrepancy_validation': 20,
     'recovery': 21, 'discrepancy_recordings': 20, 'identification_checks': 20,
     'identification_inertial_parameters': 20, 'cli_identify': 20, 'discrepancy_unseen_links': 14,

@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 import json
+from pathlib import Path
 
 from bench.__main__ import main
 from bench.real_machines import least_squares
@@ -12,13 +13,19 @@ from bench.real_machines.least_squares import Part
 from bench.real_machines.machines import MACHINES, shared_data, VARIABLE
 from bench.real_machines.motion import low_pass, Motion, motion_of, residual_torque, rms
 from bench.real_machines.split import identified, model_rms, parts_of
+from bench.real_machines.torsion import study
+from gms_flex_control.data.csv_import import import_csv
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.writer import write_recording
+from gms_flex_control.discrepancy.result import FOUND
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.params.robot import StribeckParams
 import numpy as np
 import pytest
 
+ROOT = Path(__file__).resolve().parents[2]
 PERIOD = 2e-3
 BAND = 40.0
 INERTIA, COULOMB, VISCOUS, OFFSET = 2.0, 3.0, 1.5, -0.7
@@ -134,6 +141,26 @@ def needed(name):
     if machine.absent():
         pytest.skip(f'{machine.absent()} is absent')
     return machine
+
+
+def axis_of_kr300(folder, name):
+    """Return the recording of axis 1 alone, as read from a bag of all three."""
+    needed('kr300_axis1')
+    log = import_csv(shared_data() / 'kr300' / f'{name}.csv',
+                     ROOT / 'config' / 'import_kr300.yaml')
+    write_recording(folder / name, log.recording, motors=log.motors)
+    return read_recording(folder / name, joints=['axis1'], motors=['axis1_motor'])
+
+
+def test_flexibility_of_the_kr300_is_an_encoder_skew(tmp_path):
+    """Its encoders are read at different times, which a spring does not explain."""
+    first, second = (axis_of_kr300(tmp_path, name) for name in ('rec_A', 'rec_B'))
+    robot = study(first, 'axis1', 4.58e6).robot
+    result = find_discrepancy([first], robot, holdout=[second])
+    assert result.verdict == FOUND
+    main = result.findings[0]
+    assert main.effect == 'encoder_skew' and -0.0035 < main.parameters['delay'] < -0.002
+    assert result.gap.after[0] < 0.25 * result.gap.before[0]
 
 
 def test_half_of_emps_names_no_limit_that_its_peaks_resemble():
