@@ -9,7 +9,7 @@ import warnings
 from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.motions import draw_reference
 from bench.hidden_robots.plants import draw_belief, draw_robot
-from bench.hidden_robots.truth import simulate
+from bench.hidden_robots.truth import Disturbance, simulate
 from discrepancy_runs import recorded
 from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.describe import named as described
@@ -156,6 +156,30 @@ def test_a_hole_in_an_angle_is_left_out():
     assert [one.effect for one in result.findings] == [hidden.name], result.words
     assert result.findings[0].values[0].value == pytest.approx(hidden.values[0], rel=0.02)
     assert 'is no number in 200 samples' in result.words
+
+
+def test_one_joint_is_named_where_another_is_unexplained(tmp_path):
+    """A torque of time on the link of joint1, which no effect explains; a level on joint2."""
+    rng, time = np.random.default_rng(4), np.arange(8000) * 2e-3
+    robot, gains = draw_robot(rng, 'stiff')
+    nominal, reference = draw_belief(rng, robot), draw_reference(rng, 'rich', 'stiff', time)
+    level = EffectSpec(name='coulomb_error', joint='joint2', values=(0.4,))
+    tone = Disturbance('periodic_link_torque', 0, (
+        0.8 * robot.friction.forward.static[0], 2.0 * np.pi * 4.5, 0.3), np.zeros(len(time)))
+    motion = simulate(replace(robot, effects=(level,)), nominal, gains, reference, seed=1,
+                      disturbance=tone)
+    q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
+    result = find_discrepancy([recorded(robot, time, q_link, q_motor, motion.command, reference)],
+                              nominal, Options(most=2))
+    assert (result.verdict, result.is_open) == (FOUND, True), result.words
+    assert [one.key for one in result.added] == [('coulomb_error', 'joint2')]
+    assert result.added[0].values[0].value == pytest.approx(0.4, abs=DOUBT)
+    assert [spec.name for spec in result.robot.effects] == ['coulomb_error']
+    assert result.unexplained.joints == ('joint1',)
+    said = f'joint1 remains unexplained: {result.unexplained.sentence}'
+    assert said in result.words and said in discrepancy_answer(result, tmp_path).sentence
+    before, after, floor = result.gap.retuned, result.gap.after, result.gap.floor
+    assert after[1] < 2.0 * floor[1] and after[0] > 0.9 * before[0]
 
 
 def test_a_torque_of_another_joint_is_unexplained_and_says_so():

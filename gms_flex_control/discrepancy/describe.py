@@ -176,14 +176,24 @@ def _verdict(result):
                f'{_briefly(without)}.', True)
 
 
+def of_unexplained(left) -> str:
+    """Return a sentence on the joints of a Signature (or None) that no effect explains, or ''."""
+    if left is None or not left.joints:
+        return ''
+    return (f'{" and ".join(left.joints)} {"remain" if len(left.joints) > 1 else "remains"} '
+            f'unexplained: {left.sentence}')
+
+
 def _remainder(result):
     """Yield how much is explained, and what remains: sentence, whether a detail."""
     gap, left = result.gap, result.unexplained
     if result.verdict == FOUND and left is not None and left.share > _REMAINS:
-        sure = min(one.probability for one in result.added)
-        yield (f'That explains {100.0 * (1.0 - gap.energy_ratio):.0f} % of what is missing '
-               f'({sure:.2f} sure); {100.0 * gap.energy_ratio:.0f} % remains unexplained: '
-               f'{left.sentence}', True)
+        share, sure = min(gap.energy_ratio, 1.0), min(one.probability for one in result.added)
+        what = '.' if left.joints else f': {left.sentence}'
+        yield (f'That explains {100.0 * (1.0 - share):.0f} % of what is missing '
+               f'({sure:.2f} sure); {100.0 * share:.0f} % remains unexplained{what}', True)
+    if result.verdict == FOUND and of_unexplained(left):
+        yield of_unexplained(left), False
     elif left is not None and result.verdict != FOUND:
         yield (f'Something is missing that the catalogue does not explain: {left.sentence}',
                False)

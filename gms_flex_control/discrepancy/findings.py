@@ -68,7 +68,8 @@ def judged(likelihood, found) -> tuple:
     functions, whole = FreeFunctions(likelihood), found
     while True:
         left = functions.left_in(found.best.model, found.best.columns, caution_of(likelihood))
-        if not worths or left is None and not is_noisy(likelihood, found.best.model):
+        if not worths or left is None and not np.any(noisy_joints(
+                likelihood, found.best.model)):
             return found, worths, left, whole
         shares = [_share(functions, found.best.model.robot.effects[one.index], one, left)
                   for one in worths]
@@ -167,11 +168,12 @@ def _share(functions, spec, one, left):
     return share
 
 
-def is_noisy(likelihood, model) -> bool:
-    """Return whether a model leaves more than drives make of noise, and than encoders do."""
-    return not np.all(likelihood.excess_torque(model) <= np.maximum(
+def noisy_joints(likelihood, model) -> np.ndarray:
+    """Return where a model leaves more than drives make of noise, and than encoders do, (n,)."""
+    quiet = likelihood.excess_torque(model) <= np.maximum(
         LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
-        caution_of(likelihood) * likelihood.clean_torque()))  # also where it is not finite
+        caution_of(likelihood) * likelihood.clean_torque())
+    return ~np.all(quiet.reshape(2, -1), axis=0)  # also where it is not finite
 
 
 def findings_of(likelihood, found, worths, held_out) -> list:

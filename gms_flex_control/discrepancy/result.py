@@ -102,6 +102,7 @@ class Signature(NamedTuple):
     joint: str
     variable: str      # what it depends on most; '' where on none alone
     sentence: str
+    joints: tuple = ()  # of str: all of which no effect explains more than it leaves
 
     def is_of(self, finding) -> bool:
         """

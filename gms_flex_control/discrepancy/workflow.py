@@ -15,8 +15,8 @@ from gms_flex_control.discrepancy.evidence import credible, doubted, posterior
 from gms_flex_control.discrepancy.findings import (
     as_given,
     findings_of,
-    is_noisy,
     judged,
+    noisy_joints,
     predicting_subset,
     predictive,
 )
@@ -49,7 +49,7 @@ from gms_flex_control.discrepancy.thresholds import (
     WORSE,
 )
 from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
-from gms_flex_control.discrepancy.worth import plausible_limit
+from gms_flex_control.discrepancy.worth import plausible_limit, with_fewer
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -131,18 +131,18 @@ def _compared(motions, holdout, robot, options, say):
                                               held_out=True) if holdout else None)
     found, worths = predictive(likelihood, found, worths, held_out)
     findings = findings_of(likelihood, found, worths, held_out)
-    gap = held_out.gap(found.before, found.best)
-    left = _left_over(likelihood, found.best.model, free, gap, held_out.other)
+    all_found = found.best
+    gap = held_out.gap(found.before, all_found)
+    left = _left_over(likelihood, all_found.model, free, gap, held_out.other)
     if left is not None:
-        findings = [one for one in findings if free is not None or not left.is_of(one)]
-        if not (any(one.main for one in findings) and _may_be_named(gap)):
-            findings = []  # they only resemble some of it
+        findings, left = _named(likelihood, findings, gap, free, left)
+        found = _named_alone(likelihood, found, {one.key for one in findings})
     more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
     whole = whole if left else found
     after = _written(likelihood, found, whole, held_out, [
         searched.best, predicting_subset(likelihood, whole, held_out)] if more else [],
         {one.key: one.main for one in findings})
-    if after is not found.best:
+    if after is not all_found:
         gap = held_out.gap(found.before, after)
     result = _result(likelihood, found, searched, after, findings, left, gap)
     words, details = describe.paragraph(result, sorted(likelihood.unseen),
@@ -235,22 +235,49 @@ def _left_over(likelihood, model, free, gap, measured=None):
 
     Also where only other recordings, ``measured``, show it: then of these.
     """
-    share = min(gap.energy_ratio, 1.0)
-    if free is not None or is_noisy(likelihood, model):
-        return signature_of(likelihood, model, share, free)
-    if measured is not None and is_noisy(measured, model):
-        return signature_of(measured, model, share)
+    share, joints = min(gap.energy_ratio, 1.0), likelihood.robot.joints
+    for data, function in ((likelihood, free), *([(measured, None)] if measured else [])):
+        noisy = noisy_joints(data, model)
+        if function is not None or np.any(noisy):
+            left = signature_of(data, model, share, function)
+            return left._replace(joints=tuple(
+                name for name, is_noisy in zip(joints, noisy, strict=True)
+                if is_noisy or name == left.joint))
     return None
 
 
-def _may_be_named(gap):
+def _named(likelihood, findings, gap, free, left):
     """
-    Return whether effects may be named though something is left, by the Gap with all of them.
+    Return the findings that are named though something is left, and the Signature of that.
 
-    They explain more than they leave, and free runs are no worse.
+    By joint: an effect is named where all effects together explain more than they leave of the
+    Gap of the joint whose torque it lessens most, and free runs of that joint are no worse. Else
+    it only resembles some of what is there. The Signature keeps the joints that nothing explains.
     """
-    worse = np.nansum(gap.free_after ** 2) > CLEARLY * np.nansum(gap.free_before ** 2)
-    return gap.energy_ratio <= MOST_LEFT and not worse
+    noise = np.nan_to_num(gap.floor) ** 2
+    before, after = (np.maximum(one ** 2 - noise, 0.0) for one in (gap.retuned, gap.after))
+    explained = (after < MOST_LEFT * before) & ~(
+        gap.free_after ** 2 > CLEARLY * gap.free_before ** 2)
+    named, resembling = [], set()
+    for one in findings:
+        torque = one.residual
+        joint = int(np.argmax((torque.before ** 2 - torque.after ** 2) / likelihood.coulomb ** 2))
+        if explained[joint] and (free is not None or not left.is_of(one)):
+            named.append(one)
+        else:
+            resembling.add(gap.joints[joint])
+    open_joints = tuple(name for name, is_explained in zip(gap.joints, explained, strict=True)
+                        if name in left.joints and (name in resembling or not is_explained))
+    return (named if any(one.main for one in named) else []), left._replace(joints=open_joints)
+
+
+def _named_alone(likelihood, found, named):
+    """Return the search's end with those effects alone that are ``named``, if any is."""
+    withheld = [i for i, spec in enumerate(found.best.model.robot.effects)
+                if i >= likelihood.known and (spec.name, spec.joint) not in named]
+    if not named or not withheld:
+        return found
+    return found._replace(best=with_fewer(likelihood, found, *withheld))
 
 
 def _written(likelihood, found, whole, held_out, further, named):

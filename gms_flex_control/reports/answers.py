@@ -13,6 +13,7 @@ from gms_flex_control.discrepancy.describe import (
     angle_scale,
     of_joints,
     of_not_added,
+    of_unexplained,
     Scale,
     torque_scale,
     value_words,
@@ -221,9 +222,10 @@ def _lacking(result):
     which = 'both' if len(at_floor) == 2 else ''.join(at_floor)
     where = f', {which} to about the noise floor, which' if at_floor else '. The noise floor'
     found = 'it' if len(result.added) == 1 else 'them'
-    return (f'The model lacks {effects}: with {found}, on held-out data, '
-            f'{" and ".join(change for _, change, _ in changes)}{where} is what encoders and '
-            'torque noise alone would leave.')
+    return ' '.join(filter(None, (
+        f'The model lacks {effects}: with {found}, on held-out data, '
+        f'{" and ".join(change for _, change, _ in changes)}{where} is what encoders and torque '
+        'noise alone would leave.', of_unexplained(result.unexplained))))
 
 
 def _complete(gap):

@@ -177,8 +177,10 @@ def _add_left(report, result):
     if left is not None:
         report.heading('What is unexplained')
         report.note(left.sentence, warning=True)
-        report.table(('share of what was missing', 'equation', 'joint', 'depends most on'),
-                     [(f'{100.0 * left.share:.1f} %', left.equation, left.joint, left.variable)])
+        report.table(('share of what was missing', 'equation', 'joint', 'depends most on',
+                      'joints that remain unexplained'),
+                     [(f'{100.0 * left.share:.1f} %', left.equation, left.joint, left.variable,
+                       ', '.join(left.joints))])
     if result.learned:
         report.heading('What was learned instead')
         report.table(('term', 'looks like', 'effective parameters', 'held-out log likelihood'), [
