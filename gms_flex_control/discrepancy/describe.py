@@ -189,9 +189,10 @@ def _remainder(result):
     gap, left = result.gap, result.unexplained
     if result.verdict == FOUND and left is not None and left.share > _REMAINS:
         share, sure = min(gap.energy_ratio, 1.0), min(one.probability for one in result.added)
-        what = '.' if left.joints else f': {left.sentence}'
+        rest = '.' if left.joints else (
+            f'; {100.0 * share:.0f} % remains unexplained: {left.sentence}')
         yield (f'That explains {100.0 * (1.0 - share):.0f} % of what is missing '
-               f'({sure:.2f} sure); {100.0 * share:.0f} % remains unexplained{what}', True)
+               f'({sure:.2f} sure){rest}', True)
     if result.verdict == FOUND and of_unexplained(left):
         yield of_unexplained(left), False
     elif left is not None and result.verdict != FOUND:
