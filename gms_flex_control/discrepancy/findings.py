@@ -42,13 +42,15 @@ _ALIKE = 0.96         # of what an effect explains: another that explains so muc
 _RUNNERS = 6          # hypotheses tried in the place of a finding
 
 
-def as_given(likelihood, state, nuisances) -> State:
-    """Return a State with its effects fitted beside known parameters as they are given."""
-    x = np.zeros(len(likelihood.nuisances))
-    model = fit(likelihood, state.model.robot, x, nuisances, plausible=0.0)
+def as_given(likelihood, state, nuisances, but=()) -> State:
+    """Return a State, known parameters as given, ``but`` those of some joints, fitted anew."""
+    x, joints = np.zeros(len(likelihood.nuisances)), likelihood.robot.joints
+    free = {joints.index(name) for name in but}
+    farthest = np.array([np.inf if one.joint in free else 0.0 for one in likelihood.nuisances])
+    model = fit(likelihood, state.model.robot, x, nuisances, plausible=farthest)
     own = effect_columns(likelihood, model.robot, x, model.rows, numbers_of(likelihood,
                                                                             model.robot))
-    return State(model, nuisances, own, -np.inf, 0.0)
+    return State(model, nuisances, own, -np.inf, farthest)
 
 
 def judged(likelihood, found) -> tuple:

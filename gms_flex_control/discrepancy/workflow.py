@@ -286,11 +286,12 @@ def _written(likelihood, found, whole, held_out, further, named):
 
     That with the effects found, if they are ``named`` (dict of key to whether it is main) or
     explain more than they leave, unless another is clearly better: with fewer, with such as only
-    resemble what is missing, ``further`` States, or known parameters as given. None is written
-    that predicts torque, the drive's torque or free runs worse than the model as given, which may
-    have been fitted to the blocks left out, or effects worse than re-tuning alone; where one of
-    them is main, not by what matters, and not clearly. A known parameter beyond its prior takes no
-    effect's place: it is a wrong belief.
+    resemble what is missing, ``further`` States, or known parameters as given (all, or all but
+    those of the joints with effects that are ``named``). None is written that predicts torque, the
+    drive's torque or free runs worse than the model as given, which may have been fitted to the
+    blocks left out, or effects worse than re-tuning alone; where one of them is main, not by what
+    matters, and not clearly. A known parameter beyond its prior takes no effect's place: it is a
+    wrong belief.
     """
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
@@ -312,7 +313,9 @@ def _written(likelihood, found, whole, held_out, further, named):
             likelihood, held_out, state, found.before, named))
     safe = is_written(found.best)
     if not safe:
-        others.append(as_given(likelihood, found.best, found.nuisances))
+        of_named = {joint for _, joint in named if joint in likelihood.robot.joints}
+        others += [as_given(likelihood, found.best, found.nuisances, but)
+                   for but in ((), of_named)]
     others = [one for one in others if is_written(one)]
     other = min((given, *others), key=held_out.energy)
     if safe and CLEARLY * held_out.energy(other) >= held_out.energy(found.best):
