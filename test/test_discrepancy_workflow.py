@@ -165,7 +165,7 @@ def test_one_joint_is_named_where_another_is_unexplained(tmp_path):
     nominal, reference = draw_belief(rng, robot), draw_reference(rng, 'rich', 'stiff', time)
     level = EffectSpec(name='coulomb_error', joint='joint2', values=(0.4,))
     tone = Disturbance('periodic_link_torque', 0, (
-        0.8 * robot.friction.forward.static[0], 2.0 * np.pi * 4.5, 0.3), np.zeros(len(time)))
+        0.3 * robot.friction.forward.static[0], 2.0 * np.pi * 4.5, 0.3), np.zeros(len(time)))
     motion = simulate(replace(robot, effects=(level,)), nominal, gains, reference, seed=1,
                       disturbance=tone)
     q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
