@@ -54,6 +54,21 @@ def test_the_true_model_leaves_nothing_of_a_hidden_robot_but_its_encoders(ideal_
                                atol=1e-12)
 
 
+@pytest.mark.parametrize(('name', 'values'), [
+    ('actuator_lag', (0.02,)), ('base_flexibility', (8.0, 0.01, 0.1)), ('', ())])
+def test_what_is_kept_along_a_motion_is_that_of_its_own_torque(ideal_robot, gains, name, values):
+    """Drives and encoders that depend on torque: as along a motion of which nothing is kept."""
+    motion = driven_motion(ideal_robot, gains, duration=2.0)
+    robot = replace(ideal_robot, effects=(EffectSpec(
+        name=name, joint='joint2', values=values),) if name else ())
+    constants = plant.constants_of(robot)
+    for factor in (1.0, 1.2, 1.0, 1.5, 1.2):
+        other = motion.with_torque(('times', factor), lambda torque, by=factor: by * torque)
+        plain = make_motion(replace(motion.samples, command=factor * motion.samples.command))
+        np.testing.assert_array_equal(unexplained(other, constants),
+                                      unexplained(plain, constants))
+
+
 def test_a_rotor_couples_through_a_rigid_joint_in_the_plant_as_in_the_fit(ideal_robot, gains):
     arm = replace(ideal_robot.arm, stiffness=[ideal_robot.arm.stiffness[0], np.inf])
     robot = replace(ideal_robot, arm=arm, motors=(ideal_robot.motors[0], ''), effects=(EffectSpec(

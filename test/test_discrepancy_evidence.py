@@ -111,7 +111,7 @@ def test_a_saturation_takes_all_that_is_beyond_its_limit(robot, gains):
                    for one in (saturation, robot))
     asked = free.samples.command.copy()
     asked[:, 1] += asked[:, 1] - np.clip(asked[:, 1], -limit, limit)
-    for motion, half in ((whole, False), (free.with_torque(asked), True)):
+    for motion, half in ((whole, False), (free.with_torque('asked', lambda command: asked), True)):
         likelihood = Likelihood([motion], robot)
         model = likelihood.fitted(saturation, np.zeros(len(likelihood.sd)))
         columns = extended(likelihood, model, retuned_of(likelihood)[1])

@@ -8,10 +8,10 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from bench.hidden_robots.cases import make_case
-from discrepancy_runs import as_believed, likelihood_of, retuned_of
+from discrepancy_runs import as_believed, driven_motion, likelihood_of, retuned_of
 from gms_flex_control.discrepancy import findings
 from gms_flex_control.discrepancy.evidence import State
-from gms_flex_control.discrepancy.fitting import extended, fit
+from gms_flex_control.discrepancy.fitting import extended, fit, step_of
 from gms_flex_control.discrepancy.gap import (
     Errors,
     free_rms,
@@ -25,6 +25,7 @@ from gms_flex_control.discrepancy.validation import (
     FOLDS,
     Gain,
     gain_of,
+    steps,
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.params.robot import EffectSpec
@@ -82,6 +83,20 @@ def test_a_model_gains_nothing_over_itself():
     state = retuned_of(likelihood, PLAUSIBLE)
     gain = gain_of(likelihood, state, state, np.ones(len(likelihood.groups.group)))
     assert abs(gain.nats) < 1.0 and not gain.is_real
+
+
+def test_a_fold_is_predicted_by_a_fit_that_saw_nothing_of_it(ideal_robot, gains):
+    """
+    The same step as where its residuals and derivatives are nothing.
+
+    Encoders are ideal: what filters err by is all that differs between null simulations.
+    """
+    likelihood = Likelihood([driven_motion(ideal_robot, gains, duration=8.0)], ideal_robot)
+    model, columns = as_believed(likelihood), retuned_of(likelihood)[1]
+    for left_out, step in steps(likelihood, model, columns):
+        blind = replace(model, rows=model.rows * ~left_out)
+        alone = step_of(likelihood, blind, columns * ~left_out, ())
+        np.testing.assert_allclose(step, alone, rtol=0, atol=1e-4 * np.abs(alone).max())
 
 
 @pytest.mark.parametrize(('gain', 'expected'), [

@@ -42,6 +42,21 @@ def test_rows_of_even_noise_are_white_and_of_unit_variance():
     assert np.mean(np.abs(rows) > 1.96) == pytest.approx(0.05, abs=0.02)
 
 
+def test_rows_of_torques_in_one_equation_are_those_of_residuals_without_any_other():
+    """Two equations share their noise, a third is always zero: it stays so."""
+    rng = np.random.default_rng(4)
+    noise = rng.standard_normal((6, 4000, 2)) @ [[1.0, 0.0, 0.8], [0.0, 0.0, 0.5]]
+    whitening = Whitening(noise, 4e-3, np.full(3, 0.1), np.ones(4000, dtype=bool))
+    torques = rng.standard_normal((4000, 5))
+    for channel in range(3):
+        residuals = np.zeros((5, 4000, 3))
+        residuals[:, :, channel] = torques.T
+        rows = whitening.rows_of_each(torques, channel)
+        assert np.any(rows) == (channel != 1) and not np.any(rows[:, 1])
+        np.testing.assert_allclose(rows, np.stack([
+            whitening.rows_of(one) for one in residuals], axis=-1), rtol=0, atol=1e-12)
+
+
 def test_where_an_equation_tells_nothing_its_residual_counts_nothing():
     """A torque of a thousand times the noise while a link stands changes no row elsewhere."""
     noise = np.random.default_rng(2).standard_normal((7, 10000, 1))

@@ -148,12 +148,21 @@ class Dictionary:
                        for name, joint, guess in self.guesses for values in guess.probes]
         self.columns = np.empty((len(self._specs), len(model.rows)), dtype=np.float32)
 
+        begun = likelihood.residuals(likelihood.motions, model.robot, model.x)
+
         def fill(k):
-            self.columns[k] = likelihood.rows(
-                with_effect(model.robot, self._specs[k]), model.x) - model.rows
+            self.columns[k] = likelihood.change(begun, with_effect(
+                model.robot, self._specs[k]), model.x)
         list(likelihood.pool.map(fill, range(len(self._specs))))
         self._learn_noise()
         self._places = np.cumsum([0, *(len(guess.probes) for _, _, guess in self.guesses)])
+        self._own = list(likelihood.pool.map(self._products_of, range(len(self.guesses))))
+
+    def _products_of(self, i):
+        """Return the products by group (G, K, K) of the K columns of a guess."""
+        groups = self._likelihood.groups
+        part = groups.ordered(self.columns[self._places[i]:self._places[i + 1]].astype(float))
+        return groups.products(part, part)
 
     def _learn_noise(self):
         """Learn how encoder noise shows in linear guesses; clear columns in which it hides."""
@@ -206,7 +215,8 @@ class Dictionary:
         prior = prior_of(likelihood, model, numbers)
         free = prior.free
         free[:len(model.x)] &= np.abs(model.x) < _AT_BOUND * plausible * likelihood.sd
-        weight = likelihood.weights(likelihood.groups.count if even else model.sums.groups)
+        sums = likelihood.groups.count if even else model.sums.groups
+        weight, levels = likelihood.weights(sums), 1.0 / likelihood.noise_levels(sums)
         root, pull = np.sqrt(weight), np.sqrt(prior.pull)
         columns = informative(likelihood, model, columns)
         # priors are residuals of their own
@@ -225,8 +235,7 @@ class Dictionary:
         right = noise - shared - right
         gains = np.zeros(len(self.guesses))
         for i, (first, last) in enumerate(zip(self._places[:-1], self._places[1:], strict=True)):
-            part, mine = self.columns[first:last].astype(float), along[first:last]
-            whole = (part * weight) @ part.T
+            mine, whole = along[first:last], np.tensordot(levels, self._own[i], 1)
             gram = whole - mine @ mine.T
             if np.trace(gram) > _NEW * np.trace(whole):
                 gains[i] = right[first:last] @ np.linalg.lstsq(gram, right[first:last],

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Gauss and Newton on all that is free: nuisance parameters, and parameters of effects."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -139,16 +140,18 @@ def is_within(likelihood, model, plausible) -> bool:
     return bool(np.all(np.abs(model.x) <= plausible * likelihood.sd))
 
 
-def effect_columns(likelihood, robot, x, rows, numbers) -> np.ndarray:
+def effect_columns(likelihood, robot, x, numbers) -> np.ndarray:
     """Return derivatives (V, R) of whitened residuals by parameters of effects."""
     values = values_of(robot, numbers)
+    begun = likelihood.residuals(likelihood.motions, robot, x) if numbers else []
 
     def column(i):
         at, step = values.copy(), numbers[i].step
         step = -step if at[i] + step > numbers[i].upper else step
         at[i] += step
-        return (likelihood.rows(at_values(robot, numbers, at), x) - rows) / step
-    return likelihood.each(column, range(len(numbers))).reshape(len(numbers), len(rows))
+        return likelihood.change(begun, at_values(robot, numbers, at), x) / step
+    return likelihood.each(column, range(len(numbers))).reshape(
+        len(numbers), len(likelihood.usual))
 
 
 class Prior(NamedTuple):
@@ -170,20 +173,35 @@ def prior_of(likelihood, model, numbers=None) -> Prior:
         np.concatenate([model.x, values_of(model.robot, numbers)]))
 
 
-def step_of(likelihood, model, columns, numbers, weight=None, plausible=np.inf) -> np.ndarray:
+def step_of(likelihood, model, columns, numbers, plausible=np.inf) -> np.ndarray:
     """
     Return the step (C,) of all that is free to where a model is likeliest, to first order.
 
-    ``weight`` (R,) of the residuals is that of the model unless given; nuisance parameters go no
-    farther than ``plausible`` standard deviations of their priors.
+    Nuisance parameters go no farther than ``plausible`` standard deviations of their priors.
     """
-    weight = likelihood.weights(model.sums.groups) if weight is None else weight
-    noise = likelihood.encoder_noise.columns(model.robot, numbers)
-    shown = likelihood.encoder_noise.known(columns)
-    slope = likelihood.slopes(shown, noise, model, weight)
-    noise *= np.sqrt(0.5 * weight * model.sums.cleared[likelihood.groups.group])
-    shown *= np.sqrt(weight)
-    return _step(likelihood, model, numbers, slope, shown @ shown.T, noise @ noise.T, plausible)[0]
+    parts = _products(likelihood, model, columns, numbers, [slice(None)])
+    return _step(likelihood, model, numbers, *parts[0], plausible)[0]
+
+
+def steps_without(likelihood, model, columns, numbers, parts, plausible=np.inf) -> Iterator:
+    """Yield the `step_of` all rows but those of each of the ``parts``, bool (R,), all in one."""
+    found = _products(likelihood, model, columns, numbers, parts)
+    for k in range(len(parts)):
+        others = zip(*(one for m, one in enumerate(found) if m != k), strict=True)
+        yield _step(likelihood, model, numbers, *map(sum, others), plausible)[0]
+
+
+def _products(likelihood, model, columns, numbers, parts):
+    """Return slope (C,), products (C, C) of columns and of noise in them, by part of the rows."""
+    weight, noise = likelihood.weights(model.sums.groups), likelihood.encoder_noise
+    shown, noise = noise.known(columns), noise.columns(model.robot, numbers)
+    spread = 0.5 * weight * model.sums.cleared[likelihood.groups.group]
+    lost, left, found = likelihood.noise_cleared(model, weight), weight * model.rows, []
+    for part in parts:
+        one, two = shown[:, part], noise[:, part]
+        found.append((two @ lost[part] - one @ left[part],
+                      (one * weight[part]) @ one.T, (two * spread[part]) @ two.T))
+    return found
 
 
 def foreseen(likelihood, model, columns, own, numbers, plausible=np.inf) -> tuple:
@@ -300,7 +318,7 @@ def _descended(likelihood, model, columns, first, plausible, iterations):
     for _ in range(iterations):
         numbers = numbers_of(likelihood, model.robot, first)
         if own is None:
-            own = effect_columns(likelihood, model.robot, model.x, model.rows, numbers[known:])
+            own = effect_columns(likelihood, model.robot, model.x, numbers[known:])
         step, most = foreseen(likelihood, model, columns, own, numbers, plausible)
         values = values_of(model.robot, numbers)
         for shrink in _SHRINK if most > _TRIFLE else _SHRINK[:1]:
@@ -342,13 +360,13 @@ def retuned(likelihood, robot, x, plausible=np.inf, columns=None) -> tuple:
     """
     fixed = columns is not None
     if not fixed:
-        columns = likelihood.columns(robot, x, likelihood.rows(robot, x))
+        columns = likelihood.columns(robot, x)
     for _ in range(_RETUNED):
         model = fit(likelihood, robot, x, columns, first=len(robot.effects), plausible=plausible)
         moved, x = np.abs(model.x - x) / likelihood.sd, model.x
         if fixed or moved.max() < 1.0:
             break
-        columns = likelihood.columns(robot, x, model.rows)
+        columns = likelihood.columns(robot, x)
     return model, columns
 
 
@@ -364,9 +382,9 @@ def refitted(likelihood, model, nuisances, iterations=8) -> tuple:
 
 def extended(likelihood, model, columns, first=None) -> np.ndarray:
     """Return columns (C, R), then those by the numbers of effects from the ``first`` on."""
-    own = effect_columns(likelihood, model.robot, model.x, model.rows,
-                         numbers_of(likelihood, model.robot, first))
-    return np.concatenate([columns, own])
+    numbers = numbers_of(likelihood, model.robot, first)
+    return np.concatenate([columns, effect_columns(
+        likelihood, model.robot, model.x, numbers)])
 
 
 def without(likelihood, model, columns, *dropped) -> tuple:

@@ -204,20 +204,25 @@ def _free_squares(likelihood, parts, motions=None):
     """Return the mean squares of the errors of free runs (S, n) [rad^2]."""
     if not _runs_inform(likelihood):
         return np.empty((0, likelihood.robot.n_joints))
-    squares = []
+    jobs = []
     for robot, x, masks in parts:
         constants = likelihood.constants(robot, x)
-        for motion, whitening, mask in zip(
-                motions or likelihood.recorded(likelihood.motions, x), likelihood.whitenings,
-                masks, strict=True):
-            starts, link, motor = free_runs(motion, constants)
-            at = np.clip(np.searchsorted(whitening.time, starts - motion.samples.time[0]), 0,
-                         len(mask) - 1)
-            kept = mask[at] & all_known(motion, starts)
-            link, motor = (np.clip(np.nan_to_num(one[kept], nan=_FARTHEST), -_FARTHEST, _FARTHEST)
-                           for one in (link, motor))
-            squares.append(np.mean(link ** 2 + motor ** 2, axis=1) / 2.0)
-    return np.concatenate(squares)
+        jobs += [(constants, *one) for one in zip(
+            motions or likelihood.recorded(likelihood.motions, x), likelihood.whitenings, masks,
+            strict=True)]
+    return np.concatenate(list(likelihood.pool.map(_squares_of_runs, jobs)))
+
+
+def _squares_of_runs(job):
+    """Return the mean squares of errors of the free runs (S, n) that start in a mask [rad^2]."""
+    constants, motion, whitening, mask = job
+    starts = starts_of(motion)
+    time = motion.samples.time[starts]
+    at = np.clip(np.searchsorted(whitening.time, time - motion.samples.time[0]), 0, len(mask) - 1)
+    _, link, motor = free_runs(motion, constants, starts[mask[at] & all_known(motion, time)])
+    link, motor = (np.clip(np.nan_to_num(one, nan=_FARTHEST), -_FARTHEST, _FARTHEST)
+                   for one in (link, motor))
+    return np.mean(link ** 2 + motor ** 2, axis=1) / 2.0
 
 
 def _runs_inform(likelihood):
@@ -255,8 +260,10 @@ def run_freely(states, command, pushed, supply, time, period, substeps, starts, 
     n = command.shape[1]
     at, ahead = 0, 0.5 * period / substeps
     for k in range(command.shape[0]):
+        if at == starts.shape[0]:
+            break
         replay_friction(k, states, period, constants, replayed, work)
-        if at < starts.shape[0] and k == starts[at]:
+        if k == starts[at]:
             copy_state(replayed.friction, states[k, 0], states[k, 1], state.friction,
                        state.q_link, state.dq_link)
             for j in range(n):
@@ -274,7 +281,18 @@ def run_freely(states, command, pushed, supply, time, period, substeps, starts, 
             at += 1
 
 
-def free_runs(motion, constants) -> tuple:
+def starts_of(motion) -> np.ndarray:
+    """Return the samples of a recording at which free runs start, one after another (S,)."""
+    period = motion.samples.period
+    every = max(round(STRIDE / period), 1)
+    return np.arange(every, len(motion.samples.time) - _horizon(period), every)
+
+
+def _horizon(period):
+    return max(round(HORIZON / period), 2)
+
+
+def free_runs(motion, constants, starts=None) -> tuple:
     """
     Return how far free runs of a model are from a recording.
 
@@ -284,6 +302,8 @@ def free_runs(motion, constants) -> tuple:
         The recording.
     constants : numpy.record
         The model.
+    starts : ndarray, shape (S,), optional
+        Samples at which they start, default `starts_of` the motion.
 
     Returns
     -------
@@ -295,9 +315,7 @@ def free_runs(motion, constants) -> tuple:
     """
     samples = motion.samples
     period, n = samples.period, len(samples.joints)
-    horizon = max(round(HORIZON / period), 2)
-    starts = np.arange(round(STRIDE / period), len(samples.time) - horizon,
-                       max(round(STRIDE / period), 1))
+    horizon, starts = _horizon(period), starts_of(motion) if starts is None else starts
     states, readings = samples.states, samples.readings
     if acts(constants, SENSOR) or samples.unseen:
         states, readings = _as_modelled(motion, constants)

@@ -157,10 +157,10 @@ class _Learning:
 
     def __init__(self, likelihood, measured, before, say, plausible=np.inf):
         self.likelihood, self._measured, self._say = likelihood, measured, say
-        self._nuisances = likelihood.columns(before.robot, before.x, before.rows)
+        self._nuisances = likelihood.columns(before.robot, before.x)
         self._plausible = plausible  # standard deviations that nuisance parameters may go
         self._before = State(before, self._nuisances, effect_columns(
-            likelihood, before.robot, before.x, before.rows, numbers_of(likelihood, before.robot)),
+            likelihood, before.robot, before.x, numbers_of(likelihood, before.robot)),
             -np.inf, PLAUSIBLE)
         self._caution = UNSEEN if likelihood.unseen else 1.0
         joints = range(likelihood.robot.n_joints)

@@ -13,7 +13,7 @@ break-away does not count as much as motion does.
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 import os
 from typing import NamedTuple, Self
 
@@ -23,6 +23,7 @@ from gms_flex_control.discrepancy.nuisance import (
     of_recordings,
     OfRecording,
     PRIOR,
+    recorded,
     tuned,
 )
 from gms_flex_control.discrepancy.null_simulation import (
@@ -48,6 +49,7 @@ from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
 
+_constants_of = lru_cache(maxsize=16)(plant.constants_of)  # of many nuisance parameters
 _HIGHEST = (LARGEST_NOISE / PRACTICAL_FLOOR) ** 2  # variance of noise over null simulations
 _NULL_RUNS = 9         # simulations in which nothing is missing
 _MEASURED_BY = 6       # of these: by which residuals are whitened
@@ -239,28 +241,29 @@ class Likelihood:
         return noise @ self.noise_cleared(model, weight) - shown @ (weight * model.rows)
 
     def noise_slopes(self, model, weight, numbers=()) -> np.ndarray:
-        """Return what encoder noise adds to `slopes` (C,) where residuals are informative."""
+        """Return what encoder noise adds to informative `slopes`, (C,) or (C, K)."""
         return (self.encoder_noise.columns(model.robot, numbers)
                 * self.encoder_noise.informative(model.robot, numbers)
-                ) @ self.noise_cleared(model, weight)
+                ) @ self.noise_cleared(model, weight).T
 
     def noise_cleared(self, model, weight) -> np.ndarray:
-        """Return the noise (R,) that sums are cleared of, so weighted."""
+        """Return the noise that sums are cleared of, so weighted (R,) or (K, R)."""
         return 0.5 * weight * model.sums.cleared[self.groups.group] * self.encoder_noise.along(
             model.robot, model.x)
 
     def constants(self, robot, x) -> np.record:
         """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
         mine = x[:len(self.nuisances)]  # recordings held out have none of their own
-        return tuned(plant.constants_of(robot), self.nuisances, mine, self._own)
+        return tuned(_constants_of(robot), self.nuisances, mine, self._own)
 
     def recorded(self, motions, x) -> list:
         """Return motions cleared of what nuisance parameters (P,) make particular about each."""
-        motions = list(motions)
-        for one, value in zip(self.nuisances, x, strict=False):
-            if value != 0.0 and isinstance(one, OfRecording):
-                motions[one.recording] = one.recorded(motions[one.recording], value)
-        return motions
+        particular = [(one, float(value)) for one, value in zip(self.nuisances, x, strict=False)
+                      if value != 0.0 and isinstance(one, OfRecording)]
+        own = [tuple(pair for pair in particular if pair[0].recording == m)
+               for m in range(len(motions))]
+        return [recorded(motion, values) if values else motion
+                for motion, values in zip(motions, own, strict=True)]
 
     def as_robot(self, x) -> np.ndarray:
         """Return nuisance parameters (P,), 0 where they are those of recordings."""
@@ -270,6 +273,11 @@ class Likelihood:
     def rows(self, robot, x) -> np.ndarray:
         """Return whitened residuals of a model (R,), less what every null simulation shows."""
         return self.whitened.rows_of(self.residuals(self.motions, robot, x)) - self.usual
+
+    def change(self, begun, robot, x) -> np.ndarray:
+        """Return the `rows` of a model (R,) less those of the residual torques ``begun``."""
+        return self.whitened.rows_of([one - other for one, other in zip(
+            self.residuals(self.motions, robot, x), begun, strict=True)])
 
     def of_pair(self, robot, x) -> list:
         """Return whitened residuals (R,) of a model along two null simulations of one motion."""
@@ -281,13 +289,12 @@ class Likelihood:
         motions = self.recorded(motions, x)
         for spec in robot.effects:
             kind = find(spec.name)
-            shifted = [kind.torque_acted(one.command, one.period, spec.values)
-                       for one in (motion.samples for motion in motions)]
-            if shifted[0] is None:
+            if kind.torque_acted is None:
                 acting.append(spec)
             else:  # exact, where the errors of angles that it is in the plant are not
-                motions = [motion.with_torque(torque) for motion, torque in zip(
-                    motions, shifted, strict=True)]
+                motions = [motion.with_torque((spec.name, *spec.values), partial(
+                    kind.torque_acted, period=motion.samples.period, values=spec.values))
+                    for motion in motions]
             factor = kind.torque_scale(spec.values, self._scales[0].supply)
             if factor != 1.0:
                 j = robot.joints.index(spec.joint)
@@ -317,13 +324,15 @@ class Likelihood:
         """Return what a function gives of each job, in threads, stacked."""
         return np.array(list(self.pool.map(function, jobs)))
 
-    def columns(self, robot, x, rows) -> np.ndarray:
+    def columns(self, robot, x) -> np.ndarray:
         """Return derivatives of the rows by the nuisance parameters, shape (P, R)."""
+        begun = self.residuals(self.motions, robot, x)
+
         def column(i):
             at = x.copy()
             at[i] += NUISANCE_STEP
-            return (self.rows(robot, at) - rows) / NUISANCE_STEP
-        return self.each(column, range(len(x))).reshape(len(x), len(rows))
+            return self.change(begun, robot, at) / NUISANCE_STEP
+        return self.each(column, range(len(x))).reshape(len(x), len(self.usual))
 
     # --- torques -----------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ WORKING_PERIOD = 4e-3  # sample at which the equations are formed, if the record
 _STANDING = 0.2        # a link stands that its encoder does not see move for so long [s]
 _ONE_COUNT = 1.5       # counts: the reading goes to and fro between two
 _DEVIATIONS = 6.0      # of noise: so far apart readings of a link at rest lie
-_MOST_KEPT = 12        # torques along a motion that are kept
+_MOST_KEPT = 16        # torques along a motion that are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +47,16 @@ class Motion:
     torsion_rest: np.ndarray  # (S, n) torsion as read, filtered, less the smoothed one [rad]
     standing: np.ndarray      # (S, n) whether the encoder sees the link stand, bool
     known: np.ndarray         # (S,) whether all angles around were read, bool
-    _kept: dict = field(init=False, repr=False, default_factory=dict)
+    torque: tuple = ()        # what distinguishes its torque from the one recorded
+    _kept: dict = field(repr=False, default_factory=dict)
 
     def once(self, key, make) -> Any:
-        """Return what ``make`` returns, of the last few keys without calling it again."""
+        """
+        Return what ``make`` returns, of the last few keys without calling it again.
+
+        Motions that differ in torque alone share what is kept: what depends on it has ``torque``
+        in its key.
+        """
         found = self._kept.pop(key, None)
         found = make() if found is None else found
         self._kept[key] = found  # the latest one asked for is last
@@ -75,10 +81,19 @@ class Motion:
         """Return what pushed the links, as the equations see it (S, n) [N m]."""
         return self.through_filter(self.samples.pushed)
 
-    def with_torque(self, command) -> Self:
-        """Return the Motion with other torques held from sample to sample, (T, n) [N m]."""
-        return replace(self, samples=replace(self.samples, command=command),
-                       drive=self.through_filter(command))
+    def with_torque(self, way, change) -> Self:
+        """
+        Return the Motion with other torques held from sample to sample.
+
+        ``change`` makes them (T, n) [N m] of those there; ``way`` distinguishes what it does.
+        """
+        torque = (*self.torque, way)
+
+        def made():
+            command = change(self.samples.command)
+            return replace(self, samples=replace(self.samples, command=command),
+                           drive=self.through_filter(command), torque=torque)
+        return self.once(('torque', *torque), made)
 
 
 def thinned(values, factor) -> np.ndarray:

@@ -114,24 +114,44 @@ class OfRecording(NamedTuple):
         """Return whether ``value`` units matter."""
         return abs(value) > OF_RECORDING[self.name].least
 
-    def recorded(self, motion, value) -> Motion:
-        """Return a Motion cleared of ``value`` units."""
+    def clear_torque(self, torque, value) -> None:
+        """Clear torques (T, n) of ``value`` units in place; leave them of an encoder zero."""
         size, j = value * self.unit, self.joint
-        if self.name == 'zero_of_recording':
-            states, fine, readings = (one.copy() for one in (
-                motion.states, motion.samples.states, motion.samples.readings))
-            for angles in (states, fine, readings):
-                angles[:, 0, j] -= size
-            return replace(motion, states=states, samples=replace(
-                motion.samples, states=fine, readings=readings))
-        torque = motion.samples.command.copy()
         if self.name == 'torque_bias_of_recording':
             torque[:, j] -= size
         elif self.name == 'torque_scale_of_recording':
             torque[:, j] /= 1.0 + size
-        else:  # held torques: a sample has the mean of what acted in it
-            torque[1:, j] -= size * np.diff(motion.samples.command[:, j])
-        return motion.with_torque(torque)
+        elif self.name == 'delay_of_recording':  # held: a sample has the mean of what acted in it
+            torque[1:, j] -= size * np.diff(torque[:, j])
+
+
+def recorded(motion, values) -> Motion:
+    """Return a Motion cleared of what is particular: ``values`` (OfRecording, float), tuple."""
+    zeros = tuple((one.joint, value * one.unit) for one, value in values
+                  if one.name == 'zero_of_recording')
+    if zeros:
+        motion = motion.once(('zeros', zeros), lambda: _with_zeros(motion, zeros))
+    if len(zeros) == len(values):
+        return motion
+
+    def cleared(command):
+        torque = command.copy()
+        for one, value in values:
+            one.clear_torque(torque, value)
+        return torque
+    return motion.with_torque(tuple((one.name, one.joint, value) for one, value in values),
+                              cleared)
+
+
+def _with_zeros(motion, zeros):
+    """Return a Motion with link encoders of joints reading less, (joint, rad) each."""
+    states, fine, readings = (one.copy() for one in (
+        motion.states, motion.samples.states, motion.samples.readings))
+    for j, size in zeros:
+        for angles in (states, fine, readings):
+            angles[:, 0, j] -= size
+    return replace(motion, states=states, samples=replace(
+        motion.samples, states=fine, readings=readings), _kept={})
 
 
 def of_recordings(motions, robot) -> tuple:

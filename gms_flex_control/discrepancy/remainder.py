@@ -196,7 +196,9 @@ class FreeFunctions:
             Only functions of this joint.
 
         """
-        normal = NormalEquations(self._likelihood, model, columns)
+        return self._ranked(NormalEquations(self._likelihood, model, columns), model, joint)
+
+    def _ranked(self, normal, model, joint=None):
         lost = self._likelihood.noise_cleared(model, self._likelihood.weights(model.sums.groups))
         here = [one for one in self._all if joint in (None, 'arm', one[0])]
         found = self._likelihood.pool.map(lambda one: self._gained(normal, lost, *one), here)
@@ -221,13 +223,7 @@ class FreeFunctions:
         """Return the whitened residuals (K, R) of triangles; all functions' fill the memory."""
         likelihood, n = self._likelihood, self._likelihood.robot.n_joints
         column = likelihood.robot.joints.index(joint) + n * (equation == 'motor')
-        rows = []
-        for k in range(triangles[0].shape[1]):
-            torques = [np.zeros((len(own), 2 * n)) for own in triangles]
-            for torque, own in zip(torques, triangles, strict=True):
-                torque[:, column] = own[:, k]
-            rows.append(likelihood.whitened.rows_of(torques))
-        return np.array(rows)
+        return likelihood.whitened.rows_of_each(triangles, column)
 
     def _noise(self, joint, equation, noise, rows):
         """Return how ``rows`` (K, R) of a function differ in two null simulations, (K, R)."""
@@ -235,21 +231,21 @@ class FreeFunctions:
 
     def left_in(self, model, columns, caution=1.0) -> 'Free | None':
         """Return the free function that a model lacks, a Free, None where nothing matters."""
-        without = None
-        for free in self.ranked(model, columns)[:_TRIED]:
+        without, normal = None, NormalEquations(self._likelihood, model, columns)
+        for free in self._ranked(normal, model)[:_TRIED]:
             if (free.evidence <= EVIDENCE
                     or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):
                 continue
             rows = self._rows(free.joint, free.equation, free.triangles)
             if without is None:
-                without = self._predicted(model, columns, rows[:0], rows[:0])
+                without = self._predicted(normal, model, columns, rows[:0], rows[:0])
             noise = self._noise(free.joint, free.equation, free.noise, rows)
-            gain = gain_over(self._predicted(model, columns, rows, noise) - without)
+            gain = gain_over(self._predicted(normal, model, columns, rows, noise) - without)
             if gain._replace(sigmas=gain.sigmas / caution).is_real:
                 return free
         return None
 
-    def _predicted(self, model, columns, rows, noise):
+    def _predicted(self, normal, model, columns, rows, noise):
         """
         Return the log likelihood of blocks left out (B,), with a function of ``rows`` (K, R).
 
@@ -257,22 +253,23 @@ class FreeFunctions:
         """
         likelihood, numbers = self._likelihood, numbers_of(self._likelihood, model.robot)
         pull = 1.0 / likelihood.coulomb.max() ** 2
-        weight = likelihood.weights(NormalEquations(likelihood, model, columns).beside(
-            rows, pull=pull).sums)
+        weight = likelihood.weights(normal.beside(rows, pull=pull).sums)
         prior, every = prior_of(likelihood, model, numbers), np.concatenate(
             [informative(likelihood, model, columns), rows])
         free = np.concatenate([prior.free, np.ones(len(rows), dtype=bool)])
         towards = np.concatenate([prior.pull * prior.values, np.zeros(len(rows))])
         pull = np.concatenate([prior.pull, np.full(len(rows), pull)])
+        parts = list(folds(likelihood))
+        kept = weight * ~np.array(parts)
+        slopes = np.concatenate([likelihood.noise_slopes(model, kept, numbers),
+                                 noise @ likelihood.noise_cleared(model, kept).T])
+        slopes -= every @ (kept * model.rows).T + towards[:, None]
+        grams = [(every[:, part] * weight[part]) @ every[:, part].T for part in parts]
         out, step = np.zeros(likelihood.groups.blocks), np.zeros(len(every))
-        for left_out in folds(likelihood):
-            kept = weight * ~left_out
-            slope = -every @ (kept * model.rows) - towards
-            slope += np.concatenate([likelihood.noise_slopes(model, kept, numbers),
-                                     noise @ likelihood.noise_cleared(model, kept)])
-            used = every[free]
-            step[free] = np.linalg.lstsq((used * kept) @ used.T + np.diag(pull[free]),
-                                         slope[free], rcond=1e-12)[0]
+        for k, left_out in enumerate(parts):
+            gram = np.diag(pull) + sum(one for m, one in enumerate(grams) if m != k)
+            step[free] = np.linalg.lstsq(gram[np.ix_(free, free)], slopes[free, k],
+                                         rcond=1e-12)[0]
             out += of_blocks(likelihood, left_out, model.rows + step @ every, weight)
         return out
 

@@ -113,6 +113,15 @@ def clear_sensor_errors(states, friction, drive, time, period, constants, state,
 
 
 @compiled
+def rigid_body_along(states, second, constants, work, bias, inertial, carried) -> None:
+    """Fill ``C dq + g``, ``M second`` and ``M ddq``, (T, n) each, along a motion (T, 6, n)."""
+    for k in range(states.shape[0]):
+        chain.rigid_body(states[k, 0], states[k, 1], second[k], constants.chain, work.chain,
+                         bias[k], inertial[k])
+        chain.mass_times(states[k, 2], constants.chain, work.chain, carried[k])
+
+
+@compiled
 def residuals_along(states, second, friction, bias, inertial, carried, drive, rest, time, period,
                     weight, constants, state, work, out) -> None:
     """
@@ -221,8 +230,9 @@ def _key_of_links(motion, constants):
         return ()
     key = _key(constants, (_ACTUATOR, _TORSION, _SPRING, _MOTOR), 'stiffness', 'damping',
                'motor_inertia')
-    return ('unseen', *key, *(_key(constants, (SENSOR,), 'friction', *_of_bodies(constants))
-                              if acts(constants, SENSOR) else ()))
+    return ('unseen', motion.torque, *key, *(
+        _key(constants, (SENSOR,), 'friction', *_of_bodies(constants))
+        if acts(constants, SENSOR) else ()))
 
 
 def _with_unseen_links(motion, constants, drive):
@@ -281,16 +291,13 @@ def _residuals(motion, constants, drive, states, second, way):
     own, work, kept = _key(constants, (), 'friction'), plant.workspace(drive.shape[1]), motion.once
     friction = kept((*way, *own), partial(_friction, motion, states, constants, work))
     if acts(constants, SENSOR):
-        way = (*way, *_key(constants, (_ACTUATOR, SENSOR)), *own)
+        way = (*way, motion.torque, *_key(constants, (_ACTUATOR, SENSOR)), *own)
         states, second = kept(('cleared', *way), partial(
             cleared, motion, drive, states, second, constants, friction))
         friction = kept(way, partial(_friction, motion, states, constants, work))
-    bias, inertial = kept((*way, *_key(constants, (), *_of_bodies(constants))), partial(
+    bodies = kept((*way, *_key(constants, (), *_of_bodies(constants))), partial(
         _rigid_body, states, second, constants, work))
-    carried = inertial if np.all(constants.chain.flexible) else kept(
-        ('carried', *way, *_key(constants, (), *_of_bodies(constants))), partial(
-            inertial_torque, states, constants, work))
-    out = _formed(motion, constants, drive, states, second, friction, bias, inertial, carried)
+    out = _formed(motion, constants, drive, states, second, friction, *bodies)
     if motion.samples.pushed is not None:
         out[:, :drive.shape[1]] -= motion.push
     return out
@@ -332,16 +339,15 @@ def _friction(motion, states, constants, work):
 
 
 def _rigid_body(states, second, constants, work):
-    """Return ``C dq + g`` and ``M second``, (S, n) each [N m]."""
-    bias, inertial = np.empty((2, len(states), states.shape[2]))
-    chain.rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants.chain,
-                           work.chain, bias, inertial)
-    return bias, inertial
+    """Return ``C dq + g``, ``M second`` and ``M ddq`` of the smoothed ddq, (S, n) each [N m]."""
+    found = np.empty((3, len(states), states.shape[2]))
+    rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants, work, *found)
+    return found
 
 
 def inertial_torque(states, constants, work) -> np.ndarray:
     """Return ``M ddq`` of the smoothed acceleration along a motion (S, 6, n), (S, n) [N m]."""
-    return _rigid_body(states, states[:, 2:3], constants, work)[1]
+    return _rigid_body(states, states[:, 2:3], constants, work)[2]
 
 
 def drive_torque(motion, constants) -> np.ndarray:
@@ -356,7 +362,7 @@ def drive_torque(motion, constants) -> np.ndarray:
                      constants, fresh_state(constants), plant.workspace(len(samples.joints)),
                      applied)
         return motion.through_filter(applied)
-    return motion.once(('drive', *_key(constants, (_ACTUATOR,))), made)
+    return motion.once(('drive', motion.torque, *_key(constants, (_ACTUATOR,))), made)
 
 
 def cleared(motion, drive, states, second, constants, friction=None) -> tuple:

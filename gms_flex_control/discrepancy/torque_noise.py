@@ -46,7 +46,8 @@ def _moving_links(likelihood, m, torque):
     # small, so that friction along the links is nearly linear in it
     share, motion = PRACTICAL_FLOOR / largest, likelihood.null.pair[0][m]
     constants = likelihood.constants(likelihood.null.robot, likelihood.null.x)
-    return (unexplained(motion.with_torque(motion.samples.command + share * torque), constants)
+    noisy = motion.with_torque(object(), lambda command: command + share * torque)
+    return (unexplained(noisy, constants)
             - unexplained(motion, constants)) / share
 
 

@@ -12,7 +12,7 @@ nothing.
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.fitting import numbers_of, step_of
+from gms_flex_control.discrepancy.fitting import numbers_of, steps_without
 from gms_flex_control.discrepancy.motion import at_full_rate
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import FEW_BLOCKS, HELD_OUT_NATS, PLAUSIBLE
@@ -41,7 +41,7 @@ class Gain(NamedTuple):
         return self.nats > HELD_OUT_NATS and (self.blocks < FEW_BLOCKS or self.sigmas > PLAUSIBLE)
 
 
-def _predicted(likelihood, model, columns, plausible):
+def predicted(likelihood, model, columns, plausible=PLAUSIBLE) -> np.ndarray:
     """Return the log likelihood of blocks, each predicted from the others, shape (B,)."""
     weight = likelihood.weights(model.sums.groups)
     return sum(of_blocks(likelihood, left_out, model.rows + step @ columns, weight)
@@ -64,10 +64,9 @@ def folds(likelihood) -> Iterator[np.ndarray]:
 
 def steps(likelihood, model, columns, plausible=np.inf) -> Iterator[tuple]:
     """Yield which rows (R,) are left out of each fold, and the step (C,) of a fit without."""
-    numbers, weight = numbers_of(likelihood, model.robot), likelihood.weights(model.sums.groups)
-    for left_out in folds(likelihood):
-        yield left_out, step_of(likelihood, model, columns, numbers, weight * ~left_out,
-                                plausible)
+    parts = list(folds(likelihood))
+    yield from zip(parts, steps_without(likelihood, model, columns, numbers_of(
+        likelihood, model.robot), parts, plausible), strict=True)
 
 
 def gain_of(likelihood, state, other, change, plausible=PLAUSIBLE) -> Gain:
@@ -91,8 +90,12 @@ def gain_of(likelihood, state, other, change, plausible=PLAUSIBLE) -> Gain:
     Gain
 
     """
-    gains = (_predicted(likelihood, *state, plausible)
-             - _predicted(likelihood, *other, plausible))
+    return gain_where(likelihood, predicted(likelihood, *state, plausible)
+                      - predicted(likelihood, *other, plausible), change)
+
+
+def gain_where(likelihood, gains, change) -> Gain:
+    """Return the Gain of log likelihoods (B,) where an effect acts, which changes rows (R,)."""
     size = np.bincount(likelihood.groups.block, change ** 2, minlength=likelihood.groups.blocks)
     return gain_over(gains, size > _ACTS * size.max())
 

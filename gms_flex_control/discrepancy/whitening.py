@@ -12,6 +12,7 @@ and few.
 """
 
 import numpy as np
+from scipy import fft
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
 HIGHEST = 20.0        # frequency that is looked at [Hz]
@@ -51,7 +52,7 @@ class Band:
 
     def spectra(self, residuals) -> np.ndarray:
         """Return the spectra of residuals (..., T, C) [N m], shape (..., F, C)."""
-        return np.fft.rfft(residuals * self._window, axis=-2)[..., :self.bins, :].copy()
+        return fft.rfft(residuals * self._window, axis=-2)[..., :self.bins, :].copy()
 
 
 class Whitening:
@@ -77,7 +78,8 @@ class Whitening:
         self._rows, self._bins = self._band.rows, self._band.bins
         self.row_period = length / self._rows
         self._octaves = Octaves(self._rows, _OCTAVES)
-        spectra = self._band.spectra(clean)
+        self._live = np.flatnonzero(np.any(clean, axis=(0, 1)))  # equations that say something
+        spectra, floor = self._band.spectra(clean[..., self._live]), floor[self._live]
         width = max(round(_BINS * length), 1)
         power = np.einsum('rfc,rfd->fcd', spectra, spectra.conj()) / len(clean)
         power = uniform_filter1d(power.real, width, axis=0, mode='nearest') + 1j * \
@@ -89,15 +91,14 @@ class Whitening:
         self.row_time = self.row_period * self._octaves.time
         self.part = np.repeat(np.arange(len(self._octaves.parts)),
                               [len(part) for part in self._octaves.parts])  # of each row
-        self.scale = np.ones((self._rows, clean.shape[2]))
         used = self._away_from_ends(self.row_time) & known[
             np.minimum((self.row_time / period).astype(int), self._samples - 1)]
-        self.scale = np.where(used[:, None] & np.any(clean, axis=(0, 1)),
-                              self._evening(clean, white), 0.0)
+        self.scale = np.zeros((self._rows, clean.shape[2]))
+        self.scale[:, self._live] = used[:, None] * self._evening(spectra, white)
 
-    def _evening(self, clean, white):
-        """Return what makes rows even in time (S, C)."""
-        square = np.mean([self.rows_of(one) ** 2 for one in clean], axis=0)
+    def _evening(self, spectra, white):
+        """Return what makes rows even in time (S, L)."""
+        square = np.mean([self._white(one) ** 2 for one in spectra], axis=0)
         of_floor = self._octaves.spread(self._both_sides(
             np.sum(np.abs(self._roots) ** 2 * white, axis=2)))
         for part, spacing, least in zip(self._octaves.parts, self._octaves.spacings, of_floor,
@@ -118,19 +119,44 @@ class Whitening:
 
     def rows_of(self, residual) -> np.ndarray:
         """Return rows (S, C) of unit variance of residuals (T, C) [N m], see `row_time`."""
-        return self.rows_of_spectra(self._band.spectra(residual))
+        used = np.flatnonzero(np.any(residual[:, self._live], axis=0))
+        return self._even(self._band.spectra(residual[:, self._live[used]]), used)
 
     def rows_of_spectra(self, spectra) -> np.ndarray:
         """Return rows (S, C) of residuals by their spectra (F, C), of a `Band`."""
-        white = np.einsum('fcd,fd->fc', self._roots, spectra)
-        return self._octaves(self._both_sides(white)) * np.sqrt(self._rows) * self.scale
+        return self._even(spectra[:, self._live], slice(None))
+
+    def _even(self, spectra, used):
+        """Return rows (S, C), of spectra of those equations alone that are not nothing."""
+        out = np.zeros(self.scale.shape)
+        if spectra.size:
+            out[:, self._live] = self._white(spectra, used)
+            out *= self.scale
+        return out
+
+    def _white(self, spectra, used=slice(None)):
+        """Return rows (S, L) not yet even in time, of spectra (F, U) of equations ``used``."""
+        return self._in_time(np.einsum('fcd,fd->fc', self._roots[:, :, used], spectra))
+
+    def _in_time(self, white):
+        return self._octaves(self._both_sides(white)) * np.sqrt(self._rows)
+
+    def rows_of_each(self, torques, channel) -> np.ndarray:
+        """Return rows (S, C, K) of each of several torques (T, K) in one equation alone."""
+        out = np.zeros((*self.scale.shape, torques.shape[1]))
+        for at in np.flatnonzero(self._live == channel):
+            white = self._roots[:, :, at, None] * self._band.spectra(torques)[:, None]
+            rows = self._in_time(white.reshape(len(white), -1))
+            out[:, self._live] = rows.reshape(len(rows), len(self._live), -1)
+        out *= self.scale[:, :, None]
+        return out
 
     def torque_rows(self, residual) -> np.ndarray:
         """Return residuals (T, C) behind a low-pass alone, at the times of the rows [N m]."""
         padded = np.zeros((self._bins + 1, residual.shape[1]), dtype=complex)
         padded[:-1] = self._band.spectra(residual)
         padded[round(TORQUE_BAND / HIGHEST * self._bins):] = 0.0
-        return np.fft.irfft(padded, self._rows, axis=0) * self._rows / self._samples
+        return fft.irfft(padded, self._rows, axis=0) * self._rows / self._samples
 
 
 def _taper(samples, edge):
@@ -172,7 +198,7 @@ class Octaves:
         for low, high in self._filters:
             out.append(_halved(spectrum * high[:, None]))
             spectrum = _halved(spectrum * low[:, None])
-        return np.concatenate([np.fft.ifft(part, axis=0).real for part in (*out, spectrum)])
+        return np.concatenate([fft.ifft(part, axis=0).real for part in (*out, spectrum)])
 
     def spread(self, power) -> np.ndarray:
         """
@@ -295,6 +321,16 @@ class WhitenedRecordings:
         """Return the whitened residuals (R,) of the spectra of torques of each recording."""
         return self.joined(whitening.rows_of_spectra(one) for whitening, one in zip(
             self.whitenings, spectra, strict=True))
+
+    def rows_of_each(self, torques, channel) -> np.ndarray:
+        """
+        Return the whitened residuals (K, R) of each of several torques in one equation alone.
+
+        ``torques`` (S, K) are along each recording.
+        """
+        rows = [whitening.rows_of_each(one, channel).reshape(-1, one.shape[1])
+                for whitening, one in zip(self.whitenings, torques, strict=True)]
+        return np.ascontiguousarray(np.concatenate(rows)[self.groups.used].T)
 
     def joined(self, rows) -> np.ndarray:
         """Return rows (S, 2 n) of each recording as one vector (R,)."""

@@ -24,7 +24,12 @@ from gms_flex_control.discrepancy.fitting import (
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.search import Found
 from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, PLAUSIBLE, UNSEEN
-from gms_flex_control.discrepancy.validation import Gain, gain_of, prediction_cost
+from gms_flex_control.discrepancy.validation import (
+    Gain,
+    gain_where,
+    predicted,
+    prediction_cost,
+)
 from gms_flex_control.effects.registry import find
 import numpy as np
 
@@ -68,8 +73,8 @@ def plausible_limit(likelihood, model) -> np.ndarray:
     return np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
 
 
-def _worth_of(likelihood, found, i):
-    """Return what the i-th effect of a search's end is worth."""
+def _worth_of(likelihood, found, i, whole):
+    """Return what the i-th effect is worth in a model that predicts blocks so well, (B,)."""
     model, columns = found.best.model, found.best.columns
     spec = model.robot.effects[i]
     less, others = without(likelihood, model, columns, i)
@@ -79,7 +84,7 @@ def _worth_of(likelihood, found, i):
         likelihood, model)
     plausible = anything if is_within(likelihood, anything, limit) else fit(
         likelihood, less.robot, model.x, others, plausible=limit)
-    gain = gain_of(likelihood, (model, columns), (plausible, others), change, limit)
+    gain = gain_where(likelihood, whole - predicted(likelihood, plausible, others, limit), change)
     if is_at_limit(spec, model.robot) or (find(spec.name).of_feedback and not _predicts(
             likelihood, found, spec, plausible)):
         gain = gain._replace(nats=min(gain.nats, 0.0))
@@ -129,8 +134,11 @@ def caution_of(likelihood) -> float:
 def pruned(likelihood, found) -> tuple:
     """Return the search's end with effects that data speak for alone, and their Worths, ranked."""
     while True:
-        worths = [_worth_of(likelihood, found, i) for i in range(
-            likelihood.known, len(found.best.model.robot.effects))]
+        model, columns = found.best.model, found.best.columns
+        added = range(likelihood.known, len(model.robot.effects))
+        whole = predicted(likelihood, model, columns, plausible_limit(
+            likelihood, model)) if added else None
+        worths = [_worth_of(likelihood, found, i, whole) for i in added]
         weak = [one for one in worths if not one.is_real(caution_of(likelihood))]
         if not weak:
             most = max((one.loss for one in worths), default=0.0)

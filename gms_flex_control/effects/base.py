@@ -85,6 +85,9 @@ class Effect(ABC):
     fed_forward = False       # a torque that follows smoothly from what a controller measures
     acts_along_motion = True  # what was measured is enough to compute it
     estimated_with_arm = False  # identification finds it anew with the arm
+    # static method (torque, period, values): recorded torques (T, n_joints) [N m] as they acted,
+    # held over samples; None where the effect is no error of recorded torques
+    torque_acted = None
 
     @staticmethod
     @abstractmethod
@@ -101,15 +104,6 @@ class Effect(ABC):
     def excludes(rigid) -> tuple:
         """Return the names of effects that may not stand beside it on a joint, rigid or not."""
         return ()
-
-    @staticmethod
-    def torque_acted(torque, period, values) -> np.ndarray | None:
-        """
-        Return recorded torques (T, n_joints) [N m] as they acted, held over samples.
-
-        None where the effect is no error of recorded torques.
-        """
-        return None
 
     @staticmethod
     def torque_scale(values, supply) -> float:
