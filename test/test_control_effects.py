@@ -141,6 +141,7 @@ def test_effects_that_are_parameters_become_parameters(robot):
     (spec('position_friction', ratio=0.35, order=2.0, phase=0.5), 1, 0.8),
     (spec('friction_hysteresis', force=0.1, reach=0.02), 1, 0.7),
     (spec('low_speed_friction', ratio=0.8, velocity=0.2), 1, 0.8),
+    (spec('shear_thinning', torque=0.15, velocity=0.2, speed=1.0), 1, 0.8),
     (spec('viscous_asymmetry', slope=0.1), 1, 0.7),
     (spec('viscous_error', slope=0.15), 1, 0.7)])
 def test_the_links_follow_better_once_the_effect_is_known(effect, joint, at_most, robot, gains):

@@ -18,6 +18,7 @@ from gms_flex_control.trajectory.builders import hold
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 DT = 1e-4
 TERMS = [name for name in registry.names() if issubclass(registry.find(name), Term)]
@@ -27,6 +28,17 @@ CHANGES = [name for name in registry.names() if issubclass(registry.find(name), 
 def clip(x, limit):
     """Return ``x`` between minus and plus ``limit``."""
     return np.clip(x, -limit, limit)
+
+
+def arc(v, velocity, speed):
+    """Return asinh of a speed less its chord from rest to another speed."""
+    return np.arcsinh(v / velocity) - v / speed * np.arcsinh(speed / velocity)
+
+
+def steepest(velocity, speed):
+    """Return the speed at which asinh is as steep as the chord, by the solver of others."""
+    return brentq(lambda v: 1.0 / np.hypot(v, velocity) - np.arcsinh(speed / velocity) / speed,
+                  0.0, speed)
 
 
 def base_after(time, push, frequency, inertia, damping):
@@ -74,6 +86,8 @@ EQUATIONS = {
         s.link_torque - a * s.dq_link * abs(s.dq_link))),
     'recording_delay': ([0.003], 'sensed_link', lambda s, a: (
         s.sensed_link - a * s.dq_link + a ** 2 / 2 * s.ddq_link)),
+    'shear_thinning': ([0.03, 0.2, 0.6], 'friction', lambda s, a, b, c: (
+        s.friction + a * arc(s.dq_link, b, c) / arc(steepest(b, c), b, c))),
     'spring_cubic': ([12.0], 'spring', lambda s, a: s.spring + a * s.torsion ** 3),
     'spring_damping': ([0.02], 'spring', lambda s, a: s.spring + a * s.torsion_rate),
     'spring_hysteresis': ([0.01, 0.005], 'spring', lambda s, *p: s.spring),  # begins so

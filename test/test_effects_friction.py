@@ -157,7 +157,8 @@ def test_a_recording_delay_shifts_all_that_is_sensed_and_moves_nothing(ideal_rob
 
 @pytest.mark.parametrize(('name', 'values'), [
     ('friction_hysteresis', HYSTERESIS), ('load_friction', (0.1, 1e-3)),
-    ('low_speed_friction', (-0.3, 0.05)), ('viscous_asymmetry', (0.03,))])
+    ('low_speed_friction', (-0.3, 0.05)), ('shear_thinning', (0.03, 0.1, 0.5)),
+    ('viscous_asymmetry', (0.03,))])
 def test_friction_along_a_motion_is_that_of_the_run_that_made_it(ideal_robot, name, values):
     """What a residual is formed with: the same kernels, called along the path of a plant."""
     spec = EffectSpec(name=name, joint='joint1', values=values)

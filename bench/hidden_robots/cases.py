@@ -142,7 +142,8 @@ def make_case(kind, seed, *, population='home', motion=None, plant=None, duratio
         require_known('plant', plant, plants.PLANTS)
     if effect is not None:
         require_known('effect', effect,
-                      outsiders.NAMES if kind == 'outside' else available_effects())
+                      outsiders.NAMES if kind == 'outside' else (
+                          *available_effects(), *sizes.ASKED))
     if kind not in ('clean', 'outside') and (effect or in_turn(seed)) in row.without:
         raise ConfigError(f'robots of {population} cannot have {effect or in_turn(seed)}: take '
                           'another seed or effect')
@@ -250,7 +251,8 @@ def _names(rng, count, first, names):
 
 def _main(rng, name, robot, figures):
     joint = sizes.place(rng, name, robot.joints)
-    return sizes.spec(name, joint, robot.joints, sizes.MAIN[name](rng, figures[joint]))
+    return sizes.spec(name, joint, robot.joints, (sizes.MAIN | sizes.ASKED)[name](
+        rng, figures[joint]))
 
 
 def _dominant(rng, main, clutter, robot, figures, torques, others):

@@ -22,8 +22,9 @@ BELIEFS = {
 # in the catalogue
 RELATIVES = (
     {'coulomb_error', 'friction_drift', 'friction_asymmetry', 'position_friction',
-     'load_friction', 'stribeck_error', 'presliding_error', 'motor_coulomb', 'viscous_error'},
-    {'viscous_error', 'quadratic_drag', 'motor_viscous', 'spring_damping'},
+     'load_friction', 'stribeck_error', 'presliding_error', 'motor_coulomb', 'viscous_error',
+     'shear_thinning'},
+    {'viscous_error', 'quadratic_drag', 'motor_viscous', 'spring_damping', 'shear_thinning'},
     {'stiffness_error', 'stiffness_drift', 'spring_cubic', 'spring_hysteresis', 'backlash',
      'actuator_deadzone', 'spring_damping'},
     {'constant_link_torque', 'spring_offset', 'motor_torque_bias', 'friction_asymmetry',

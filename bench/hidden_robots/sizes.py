@@ -146,6 +146,16 @@ MAIN = {
     'encoder_skew': lambda r, k: {'delay': either(r, 0.5e-3, 5e-3)},
     'supply_sag': lambda r, k: {'ratio': between(r, 0.03, 0.1), 'nominal': NOMINAL_SUPPLY},
 }
+# likewise, of those that are only hidden where they are asked for: seeds keep their robots
+ASKED = {
+    'low_speed_friction': lambda r, k: {'ratio': either(r, 0.15, 0.5),
+                                        'velocity': between(r, 0.05, 0.4) * k.speed},
+    'shear_thinning': lambda r, k: {'torque': between(r, 0.1, 0.4) * k.static,
+                                    'velocity': between(r, 0.2, 1.5) * k.speed,
+                                    'speed': 2.0 * k.speed},
+    'viscous_asymmetry': lambda r, k: {
+        'slope': either(r, 0.15, 0.5) * max(k.viscous, 0.5 * k.coulomb / k.speed)},
+}
 
 # name: values with which the torque of the effect is t [N m], about, for figures k of its joint
 SMALL = {

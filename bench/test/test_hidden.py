@@ -42,11 +42,12 @@ def test_every_term_acts_in_the_hidden_robot_as_in_the_plant(ideal_robot, name):
     stage = registry.find(name).stage
     if stage == stage.SENSOR or name == 'supply_sag':
         pytest.skip('acts on what is measured, or with a voltage')
-    if name not in sizes.MAIN:
+    drawn = sizes.MAIN | sizes.ASKED
+    if name not in drawn:
         pytest.skip('no robot of the bench has it')
     figures = sizes.figures_of(ideal_robot, TURNING, 2e-3)
     rng = np.random.default_rng(3)
-    spec = sizes.spec(name, 1, ideal_robot.joints, sizes.MAIN[name](rng, figures[1]))
+    spec = sizes.spec(name, 1, ideal_robot.joints, drawn[name](rng, figures[1]))
     robots = ideal_robot, replace(ideal_robot, effects=(spec,))
     command = 1.5 * COMMAND[:250]
     plant = [push_plant(robot, command, 2e-3, substeps=200)[:, :4] for robot in robots]

@@ -294,8 +294,8 @@ def sizes(values, *fixed) -> list[Guess]:
             for value in values]
 
 
-def shapes(size, values, positive=True) -> list[Guess]:
-    """Return guesses linear in the first parameter for each value of the second."""
-    return [Guess(((size, value),), lambda c, value=value: (c[0] * size, value),
+def shapes(size, values, *fixed, positive=True) -> list[Guess]:
+    """Return guesses linear in the first parameter for each value of the second, then fixed."""
+    return [Guess(((size, value, *fixed),), lambda c, value=value: (c[0] * size, value, *fixed),
                   0.0 if positive else -np.inf)
             for value in values]

@@ -41,6 +41,8 @@ class PositionFriction(Term):
         s[FRICTION] *= 1.0 + p[0] * np.cos(p[1] * s[Q_LINK] + p[2])
 
 
+_STRAIGHT = 10.0  # times its speed: from there on the arc keeps its shape
+_FASTEST = 2.0  # times the rms of a speed: about its largest in usual motion
 _FINE = 1e-3   # of the range of angles: least reach of a guess
 _LOADED = 2.0  # of friction: what a rigid joint carries beyond it, for it to be a load
 
@@ -94,7 +96,7 @@ class LowSpeedFriction(Term):
     words = 'Friction at low speed of another shape than the Stribeck curve'
     stage = Stage.FRICTION
     evidence = 'link rate'
-    similar = ('stribeck_error',)
+    similar = ('shear_thinning', 'stribeck_error')
     discriminated_by = 'slow motion at many constant speeds'
     fed_forward = True
     parameters = (
@@ -109,6 +111,41 @@ class LowSpeedFriction(Term):
     def apply(s, p, memory, dt) -> None:
         if p[1] > 0.0:
             s[FRICTION] *= 1.0 + p[0] * np.exp(-abs(s[DQ_LINK]) / p[1])
+
+
+class ShearThinning(Term):
+    """
+    F -> F + torque arc(abs(v)) / max(arc) sgn(v), arc(v) = asinh(v / velocity) less its chord.
+
+    The shear stress of a lubricant grows as asinh of its rate (Eyring 1936, J. Chem. Phys. 4). The
+    chord goes from rest to ``speed``: viscous friction as believed is a slope over such a range,
+    which this effect bends.
+    """
+
+    name = 'shear_thinning'
+    words = 'Viscous friction that grows less than in proportion to speed'
+    stage = Stage.FRICTION
+    evidence = 'link rate'
+    similar = ('low_speed_friction',)
+    discriminated_by = 'motion at many constant speeds, from slow to the fastest'
+    fed_forward = True
+    parameters = (
+        Parameter('torque', 'N m', 'most by which friction exceeds a straight line', lower=0.0,
+                  typical=lambda s: 0.2 * s.friction),
+        Parameter('velocity', 'rad/s', 'speed about which viscosity begins to fall', lower=0.0,
+                  typical=lambda s: s.speed),
+        Parameter('speed', 'rad/s', 'speed up to which the line goes', lower=0.0, fixed=True))
+    guesses = staticmethod(lambda s: shapes(
+        0.1 * s.friction, s.speed * np.geomspace(0.1, 2.0, 4), _FASTEST * s.speed))
+
+    @staticmethod
+    def apply(s, p, memory, dt) -> None:
+        if p[1] > 0.0 and p[2] > 0.0:
+            velocity = min(p[1], _STRAIGHT * p[2])
+            v, most = s[DQ_LINK] / velocity, p[2] / velocity
+            slope = np.arcsinh(most) / most
+            top = np.sqrt(1.0 / slope ** 2 - 1.0)  # where arc and chord are parallel
+            s[FRICTION] += p[0] * (np.arcsinh(v) - slope * v) / (np.arcsinh(top) - slope * top)
 
 
 class QuadraticDrag(Term):
