@@ -16,6 +16,7 @@ from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.inertial_parameters import (
     base_of,
     link_regressors,
+    sizes_of,
 )
 from gms_flex_control.identification.segments import segments_of
 from gms_flex_control.params.arm import require_body
@@ -76,13 +77,25 @@ def test_the_nearest_arm_has_these_base_parameters_and_is_made_of_bodies(hidden,
         np.testing.assert_allclose(getattr(again, name), getattr(found.arm, name), rtol=1e-12)
 
 
+def test_links_and_motors_are_as_far_off_as_their_standard_deviations_say(hidden, found):
+    """Mass and inertia of each link, which the data know together only, and motor inertia."""
+    truth = np.vstack([sizes_of(hidden[0]), hidden[0].motor_inertia])
+    values = np.vstack([sizes_of(found.arm), found.arm.motor_inertia])
+    told = np.isfinite(found.spread)
+    assert told[:2].all()
+    off = np.abs(np.log(values / truth))[told] / found.spread[told]
+    assert off.max() < 3.0
+    assert np.mean(off < 1.0) > 0.5
+
+
 def test_what_the_motion_does_not_move_is_said(hidden):
     """The last joint at rest: its motor inertia and zz are not identifiable."""
     _, robot, recording = hidden
     still = np.broadcast_to(recording.q_link[:1, 5:], (len(recording.time), 1))
     held = replace(recording, q_link=np.concatenate([recording.q_link[:, :5], still], axis=1))
-    rows = {one.name: one for result in [fit_base_parameters([held], robot)]
-            for part in base_estimates(result, robot.joints) for one in part}
+    result = fit_base_parameters([held], robot)
+    rows = {one.name: one for part in base_estimates(result, robot.joints) for one in part}
+    assert np.isinf(result.spread[2, 5])
     assert rows['arm.joint6.motor_inertia'].flags == ('not identifiable',)
     assert 'hardly moves it' in rows['arm.joint6.motor_inertia'].note
 

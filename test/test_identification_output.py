@@ -9,6 +9,7 @@ import json
 from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.identification.outcome import (
     Estimate,
+    estimated,
     Interval,
     NOT_IDENTIFIABLE,
     standing,
@@ -89,6 +90,28 @@ def test_friction_that_the_data_leave_open_is_known_worse_than_usual():
     assert values['uncertainty.joint1.viscous'] == pytest.approx(4.0 * KINDS['viscous'].sd)
     assert values | {'uncertainty.joint1.viscous': 0.0} == uncertainty_values(made) | {
         'uncertainty.joint1.viscous': 0.0}
+
+
+def test_an_arm_is_known_as_its_intervals_say_and_what_is_open_worse_than_usual():
+    """Of links that carry each other no worse: all at once they would be anything."""
+    made = identification()
+    made = edited(made, estimates=(
+        *made.joints[0].estimates,
+        estimated('arm.joint1.stiffness', 'N m/rad', 10.0, 0.3),
+        estimated('arm.joint1.damping', 'N m s/rad', 0.1, 0.0001),
+        estimated('arm.joint1.motor_inertia', 'kg m^2', 0.1, 0.09, known=False),
+        estimated('arm.joint1.gravity_torque', 'N m', 2.0, 0.2)))
+    values = uncertainty_values(made)
+    told = {kind: values.get(f'uncertainty.joint1.{kind}') for kind in KINDS}
+    assert told['stiffness'] == pytest.approx(0.03) and told['gravity'] == pytest.approx(0.1)
+    assert told['damping'] == pytest.approx(0.5 * KINDS['damping'].sd)
+    assert told['motor_inertia'] == pytest.approx(4.0 * KINDS['motor_inertia'].sd)
+    assert told['inertia'] is None
+    spread = np.array([[0.01, 0.3], [0.2, np.inf], [np.inf, np.inf]])
+    values = uncertainty_values(replace(made, spread=spread))
+    for joint, kind, sd in (('joint1', 'gravity', 0.01), ('joint2', 'gravity', 0.06),
+                            ('joint1', 'inertia', 0.06), ('joint2', 'inertia', 0.06)):
+        assert values[f'uncertainty.{joint}.{kind}'] == pytest.approx(sd)
 
 
 def test_bags_of_one_name_get_files_of_their_own(tmp_path):

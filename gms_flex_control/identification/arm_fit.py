@@ -64,6 +64,7 @@ class ArmFit(NamedTuple):
     loaded: np.ndarray  # (n,), friction per torque carried, 0 where it does not grow
     final: tuple = ()  # per joint its Estimates, where no correction is fitted along with friction
     differences: Differences | None = None  # between recordings, of an arm in space
+    spread: np.ndarray | None = None  # (3, n), of `nearest_arm`, of links that carry each other
 
     def cleared(self, segment: Segment) -> Segment:
         """Return a segment without the constant torque and the friction that grows with load."""
@@ -141,7 +142,7 @@ def _of_chain(recordings, robot, motors):
         rows[0] += (_SCALE,)
     return ArmFit(replace(robot, arm=fit.arm), motors, nothing, (np.zeros(0),) * n,
                   np.zeros(n), (None,) * n, (1.0,) * n, (None,) * n, np.zeros(n), tuple(rows),
-                  fit.differences if robot.arm.frames else None)
+                  fit.differences if robot.arm.frames else None, fit.spread)
 
 
 def _two_sided(recordings, joint):

@@ -134,7 +134,8 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
         duration=float(sum(take.time[-1] - take.time[0] for take, _ in takes)),
         period=data.bundle.period,
         warnings=tuple(dict.fromkeys(str(item.message) for item in caught)),
-        seconds=time.monotonic() - begin, currents=currents, **data.found_beside(robot.joints))
+        seconds=time.monotonic() - begin, currents=currents,
+        spread=data.arm_fit.spread if whole else None, **data.found_beside(robot.joints))
 
 
 def _currents_of(takes, robot, whole):

@@ -33,6 +33,8 @@ _SAME = 1e-8        # of the largest diagonal element of R: rank
 _SLIGHT = 1e-6      # of a coefficient that is not worth a word
 _POINT = 1e-9       # of mass times length squared: next to a point [m^2]
 IN_PLANE = (0, 1, 9)  # of ten numbers: mass, centre of mass along the link, inertia about z
+_STEP = 1e-4        # of a number, for a derivative
+_LEARNT = 0.5       # of a prior standard deviation: data tell something
 _PRIOR_SD = 0.3     # of a change of a Cholesky factor, and of the logarithm of motor inertia
 
 
@@ -198,10 +200,12 @@ def meaning_of(row: np.ndarray, names: Sequence[str]) -> str:
 
 
 def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, normal, wider
-                ) -> ArmParams:
+                ) -> tuple[ArmParams, np.ndarray]:
     """
     Return the arm nearest to the described one that has base parameters ``values`` (B,).
 
+    And relative standard deviations (3, n) of `sizes_of` it and of motors that drive rigid
+    joints, infinite where nothing tells: each beside all others, which are not known either.
     Its links are bodies; a planar chain stays one. ``combination`` (B, P) is that of `base_of`
     for ``arm``, which is ``described`` in space with joints rigid that their motor drives;
     values are as sure as ``normal`` (B, B) says, their standard deviations times ``wider`` (B,).
@@ -223,10 +227,39 @@ def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, norma
     def residual(x):
         off = combination @ np.concatenate([links(x[:size]).ravel(), motors(x)]) - values
         return np.concatenate([root @ off, x / _PRIOR_SD])
-    x = least_squares(residual, np.zeros(size + rigid.sum()), x_scale=_PRIOR_SD).x
+    found = least_squares(residual, np.zeros(size + rigid.sum()), x_scale=_PRIOR_SD)
+    x, covariance = found.x, np.linalg.inv(found.jac.T @ found.jac)
+    slopes = np.stack([_slope(lambda at: sizes_of(changed(at)), x[:size], k)
+                       for k in range(size)], axis=-1)
+    spread = np.full((3, arm.n_joints), np.inf)
+    square = np.einsum('ija,ab,ijb->ij', slopes, covariance[:size, :size], slopes)
+    spread[:2] = np.sqrt(np.nan_to_num(square, nan=np.inf))
+    of_motors = np.sqrt(np.diag(covariance)[size:])
+    spread[2, rigid] = np.where(of_motors < _LEARNT * _PRIOR_SD, of_motors, np.inf)
     motor = described.motor_inertia.copy()
     motor[rigid] = motors(x)
-    return replace(changed(x[:size]), motor_inertia=motor)
+    return replace(changed(x[:size]), motor_inertia=motor), spread
+
+
+def sizes_of(arm: ArmParams) -> np.ndarray:
+    """
+    Return what weighs, and what turns, of each link (2, n).
+
+    Of links in space mass, and inertia about the centre of mass; of a planar chain first moment
+    and inertia about the joint, with all that is carried.
+    """
+    links = chain.constants_of(arm)
+    if arm.frames is None:
+        return np.stack([links.moment, np.diagonal(links.coupling)])
+    return np.stack([links.mass, links.inertia[:, [0, 3, 5]].sum(axis=1)])
+
+
+def _slope(function, x, k):
+    """Return the derivative of the logarithm of a function by the k-th number."""
+    low, high = (function(x + sign * _STEP * (np.arange(len(x)) == k)) for sign in (-1.0, 1.0))
+    size = 0.5 * np.abs(low + high)
+    return np.divide(high - low, 2.0 * _STEP * size, out=np.full(size.shape, np.inf),
+                     where=size > 0.0)
 
 
 def _of_bodies(described, arm):

@@ -145,6 +145,8 @@ class Identification:
     constants: dict = field(default_factory=dict)  # by joint the true torque constant over the
     #                       stated one and its relative standard deviation, where that was open
     loads: dict = field(default_factory=dict)  # number of a source to the Body found in it
+    spread: np.ndarray | None = None  # (3, n), of `nearest_arm`: how well links are known that
+    #                       carry each other, whose numbers the data determine together only
 
     def in_units(self, text: str) -> str:
         """Return a text that is written for torques of rotary axes, in the units of this robot."""

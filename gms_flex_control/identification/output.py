@@ -29,6 +29,9 @@ import numpy as np
 
 REPORT_FORMAT = 1
 _COMMENT_WIDTH = 90
+# and of the arm: that of a single axis alone
+_OF_ARM = {'inertia': 'inertia', 'gravity': 'gravity_torque', 'motor_inertia': 'motor_inertia',
+           'stiffness': 'stiffness', 'damping': 'damping'}
 # times what is usual: intervals know nothing of what a model lacks, nor of other days
 _LEAST_TOLD, _MOST_TOLD = 0.5, 4.0
 
@@ -108,11 +111,11 @@ _KNOWN_BY = {'level': 'coulomb', 'viscous': 'viscous', 'static': 'static',
 
 def uncertainty_values(identification: Identification) -> dict:
     """
-    Return how well friction is known: flat ``uncertainty`` parameters, from the intervals.
+    Return how well friction and arm are known: flat ``uncertainty`` parameters, from intervals.
 
     Relative standard deviations, the largest where the data leave all estimates of a kind open.
     """
-    values = {}
+    values = _uncertainty_of_arm(identification)
     for result in identification.joints:
         for kind, name in _KNOWN_BY.items():
             own = [one for one in result.estimates if one.name.startswith('friction.')
@@ -124,6 +127,36 @@ def uncertainty_values(identification: Identification) -> dict:
             if sizes:
                 values[f'uncertainty.{result.joint}.{kind}'] = float(np.clip(
                     np.median(sizes), _LEAST_TOLD * KINDS[kind].sd, _MOST_TOLD * KINDS[kind].sd))
+    return values
+
+
+def _uncertainty_of_arm(identification):
+    """
+    Return the same of links and motors.
+
+    What the data determine by itself is as sure as its interval says. Links that carry each other
+    are known together, and priors apart: no farther off than what nothing tells of.
+    """
+    values, arm = {}, identification.robot.arm
+    for j, result in enumerate(identification.joints):
+        named = {one.name: one for one in result.estimates}
+        found = {kind: named.get(f'arm.{result.joint}.{name}') for kind, name in _OF_ARM.items()}
+        sizes = {kind: np.inf if one.flags else spread(one) / CONFIDENT
+                 for kind, one in found.items() if one and one.value}
+        if identification.spread is not None:
+            weight, inertia, motor = identification.spread[:, j]
+            sizes |= {'gravity': min(weight, _MOST_TOLD * KINDS['gravity'].sd),
+                      'inertia': min(inertia, _MOST_TOLD * KINDS['inertia'].sd)}
+            if arm.rigid[j]:
+                sizes['motor_inertia'] = motor
+        elif 'inertia' in sizes and arm.rigid[j]:  # is that of the motor as well
+            motor = arm.motor_inertia[j]
+            sizes['inertia'] = np.hypot(sizes['inertia'] * found['inertia'].value, KINDS[
+                'motor_inertia'].sd * motor) / (found['inertia'].value - motor)
+        for kind, size in sizes.items():
+            usual = KINDS[kind].sd
+            values[f'uncertainty.{result.joint}.{kind}'] = float(max(
+                size if np.isfinite(size) else _MOST_TOLD * usual, _LEAST_TOLD * usual))
     return values
 
 
