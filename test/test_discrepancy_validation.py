@@ -15,6 +15,7 @@ from gms_flex_control.discrepancy.fitting import extended, fit, step_of
 from gms_flex_control.discrepancy.gap import (
     Errors,
     free_rms,
+    free_runs,
     HeldOut,
     torque_rms,
 )
@@ -28,7 +29,9 @@ from gms_flex_control.discrepancy.validation import (
     steps,
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.params.arm import at_last_link, Body, carrying
 from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
 
@@ -131,6 +134,20 @@ def test_a_wrong_model_is_far_above_its_floor(case, likelihood):
     true = likelihood.fitted(replace(case.nominal, effects=case.truth.effects), believed.x)
     assert torque_rms(likelihood, believed)[j] > 10.0 * torque_rms(likelihood, true)[j]
     assert free_rms(likelihood, believed)[j] > 10.0 * free_rms(likelihood, true)[j]
+
+
+def test_free_runs_carry_the_load_of_their_recording(ideal_robot, gains):
+    """As those of an arm whose last link is so much heavier."""
+    load = Body(mass=0.4, com=np.array([0.05, 0.0, 0.0]), inertia=1e-3 * np.eye(3))
+    heavy = replace(ideal_robot, arm=carrying(ideal_robot.arm, load))
+    motion = driven_motion(heavy, gains, duration=10.0)
+    expected = free_runs(motion, plant.constants_of(heavy))[1]
+    loaded = replace(motion, samples=replace(
+        motion.samples, load=at_last_link(load, ideal_robot.arm)))
+    found = free_runs(loaded, plant.constants_of(ideal_robot))[1]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    left_behind = free_runs(motion, plant.constants_of(ideal_robot))[1]
+    assert np.sqrt(np.mean(left_behind ** 2)) > 10.0 * np.sqrt(np.mean(found ** 2))
 
 
 def test_free_runs_do_not_cross_holes():

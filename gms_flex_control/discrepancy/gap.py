@@ -313,7 +313,7 @@ def free_runs(motion, constants, starts=None) -> tuple:
         Measured minus simulated angles [rad]; of a link that is unseen, its motor's.
 
     """
-    samples = motion.samples
+    samples, constants = motion.samples, motion.carrying(constants)
     period, n = samples.period, len(samples.joints)
     horizon, starts = _horizon(period), starts_of(motion) if starts is None else starts
     states, readings = samples.states, samples.readings
