@@ -56,8 +56,8 @@ def judged(likelihood, found) -> tuple:
     """
     Return the search's end with effects that are real alone, their Worths, and what is left.
 
-    Where a free function of some variable is left to explain, an effect that explains less than
-    such functions would in its place only resembles what is there.
+    Of a joint in which something is left, an effect that explains less than a free function of
+    some variable would in its place only resembles what is there.
 
     Returns
     -------
@@ -68,12 +68,18 @@ def judged(likelihood, found) -> tuple:
     found, worths = pruned(likelihood, timed(likelihood, found))
     functions, whole = FreeFunctions(likelihood), found
     while True:
-        left = functions.left_in(found.best.model, found.best.columns, caution_of(likelihood))
-        if not worths or left is None and not np.any(noisy_joints(
-                likelihood, found.best.model)):
+        model = found.best.model
+        left = functions.left_in(model, found.best.columns, caution_of(likelihood))
+        somewhere = {name for name, is_noisy in zip(
+            likelihood.robot.joints, noisy_joints(likelihood, model), strict=True) if is_noisy}
+        if left is not None:
+            somewhere.add(left.joint)
+        if not worths or not somewhere:
             return found, worths, left, whole
-        shares = [_share(functions, found.best.model.robot.effects[one.index], one, left)
-                  for one in worths]
+        specs = [model.robot.effects[one.index] for one in worths]
+        shares = [_share(functions, spec, one, left)
+                  if spec.joint in somewhere or find(spec.name).whole_arm else np.inf
+                  for spec, one in zip(specs, worths, strict=True)]
         if min(shares) > RESEMBLES:
             return found, worths, left, whole
         worst = worths[int(np.argmin(shares))].index
