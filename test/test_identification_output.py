@@ -114,6 +114,17 @@ def test_an_arm_is_known_as_its_intervals_say_and_what_is_open_worse_than_usual(
         assert values[f'uncertainty.{joint}.{kind}'] == pytest.approx(sd)
 
 
+def test_a_link_of_no_inertia_beside_its_motor_is_open():
+    made = identification()
+    n, arm = made.robot.n_joints, made.robot.arm
+    rigid = replace(made.robot, motors=('',) * n, arm=replace(arm, stiffness=np.full(n, np.inf)))
+    made = edited(replace(made, robot=rigid), estimates=(
+        *made.joints[0].estimates,
+        estimated('arm.joint1.inertia', 'kg m^2', 0.5 * arm.motor_inertia[0], 1e-4)))
+    assert uncertainty_values(made)['uncertainty.joint1.inertia'] == pytest.approx(
+        4.0 * KINDS['inertia'].sd)
+
+
 def test_bags_of_one_name_get_files_of_their_own(tmp_path):
     made = replace(identification(), sources=('monday/bag', 'tuesday/bag', 'tuesday/other'),
                    constants={'joint1': (2.0, 0.01)})

@@ -151,8 +151,10 @@ def _uncertainty_of_arm(identification):
                 sizes['motor_inertia'] = motor
         elif 'inertia' in sizes and arm.rigid[j]:  # is that of the motor as well
             motor = arm.motor_inertia[j]
-            sizes['inertia'] = np.hypot(sizes['inertia'] * found['inertia'].value, KINDS[
-                'motor_inertia'].sd * motor) / (found['inertia'].value - motor)
+            of_link = found['inertia'].value - motor
+            sizes['inertia'] = np.inf if of_link <= 0.0 else np.hypot(
+                sizes['inertia'] * found['inertia'].value,
+                KINDS['motor_inertia'].sd * motor) / of_link
         for kind, size in sizes.items():
             usual = KINDS[kind].sd
             values[f'uncertainty.{result.joint}.{kind}'] = float(max(
