@@ -75,7 +75,7 @@ WITHOUT_NODES = {
     'identification_axis': 50,  # compiles for one joint meanwhile
     'discrepancy_workflow': 50, 'tutorials': 24, 'results': 24,
     'effects_learned': 24, 'design': 20, 'discrepancy_validation': 20,
-    'recovery': 21, 'discrepancy_recordings': 20, 'identification_checks': 20,
+    'recovery': 21, 'identification_checks': 20,
     'identification_inertial_parameters': 20, 'cli_identify': 20, 'discrepancy_unseen_links': 14,
     'comparison': 10, 'speed': 15, 'simulation_predictor': 15, 'identification_arm': 15,
     'real_machines': 15, 'control_effects': 15, 'discrepancy_motion': 15,

@@ -4,7 +4,6 @@
 """Three processes in lockstep over DDS give the numbers of one process, to the last bit."""
 
 from dataclasses import fields
-from pathlib import Path
 
 from gms_flex_control.data.bag import Bag
 from gms_flex_control.data.cdr import unpack_joint_state
@@ -28,7 +27,6 @@ from node_harness import (
 )
 import numpy as np
 
-EXAMPLES = Path(__file__).parents[1] / 'examples' / 'industrial_arm'
 MIXED = """
 motors: ['', joint2_motor]
 arm: {joint1: {stiffness: .inf}}
@@ -102,14 +100,3 @@ def test_the_last_sample_is_answered_before_the_plant_ends(tmp_path):
         assert plant.runs and stamp_of(states[-1]) == 20_000_000
         commands.publish(array_message([0.0, 0.0], 'stamp:20000000'))
         assert plant.wait() == 0
-
-
-def test_an_arm_of_a_urdf_runs(tmp_path, monkeypatch):
-    """The nodes find the URDF beside the parameter file that names it; its springs carry links."""
-    files = [EXAMPLES / name for name in ('robot.yaml', 'controller.yaml', 'trajectory.yaml')]
-    extra = write_parameters(tmp_path / 'extra.yaml', 'trajectory: {ramp_time: 1.0}')
-    driven, simulated, _ = both(tmp_path, monkeypatch, [*files, extra], duration=0.8,
-                                compensation='gms', rate=1000.0)
-    assert len(driven.time) == 800
-    assert np.abs(driven.tau_motor[:, 1]).max() > 10.0  # gravity
-    assert_equal(driven, simulated)

@@ -10,7 +10,7 @@ from bench.real_machines.split import identified, model_rms
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / 'shared' / 'data'
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f'{DATA} with the recordings is absent')
 
