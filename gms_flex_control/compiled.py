@@ -101,8 +101,8 @@ def compiled_part(function) -> Callable:
     """
     Compile what other kernels alone call.
 
-    It lacks the wrappers through which Python and C would call it; they take an eighth of the
-    time to compile.
+    It lacks the wrappers through which Python and C would call it: numba compiles two for each
+    function.
     """
     return compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 

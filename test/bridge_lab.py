@@ -141,8 +141,8 @@ def move(lab, condition=lambda: True, flows=None, tries=10):
     """
     Enable torque, start the motion and wait until torque flows and ``condition()`` holds.
 
-    ``flows()`` says whether torque flows, where no efforts are published.
     A fault meanwhile, of a machine too busy for the loop, is left and all of it tried again.
+    ``flows()`` says whether torque flows, where no efforts are published.
     """
     flows = flows or (lambda: all(lab.efforts.last))
     for _ in range(tries):

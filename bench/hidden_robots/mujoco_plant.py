@@ -71,7 +71,7 @@ def under_cascade(robot, model, gains, reference, period, scene, angles, torques
     state, gains, work = (cascade.init(model), cascade.constants_of(gains, model),
                           cascade.workspace(n))
     for k in range(len(reference)):
-        time, x.supply[0], x.noise[:] = k * period, scene.supply[k], scene.noise[k]
+        time = loop.begin_sample(k, period, x, scene.supply, scene.noise)
         lead, lead_motor = 0.5 * dt * x.v, 0.5 * dt * x.v_motor
         x.q[:] -= lead
         x.q_motor[:] -= lead_motor

@@ -145,7 +145,6 @@ def needed(name):
 
 def axis_of_kr300(folder, name):
     """Return the recording of axis 1 alone, as read from a bag of all three."""
-    needed('kr300_axis1')
     log = import_csv(shared_data() / 'kr300' / f'{name}.csv',
                      ROOT / 'config' / 'import_kr300.yaml')
     write_recording(folder / name, log.recording, motors=log.motors)
@@ -154,6 +153,7 @@ def axis_of_kr300(folder, name):
 
 def test_flexibility_of_the_kr300_is_an_encoder_skew(tmp_path):
     """Its encoders are read at different times, which a spring does not explain."""
+    needed('kr300_axis1')
     first, second = (axis_of_kr300(tmp_path, name) for name in ('rec_A', 'rec_B'))
     robot = study(first, 'axis1', 4.58e6).robot
     result = find_discrepancy([first], robot, holdout=[second])
@@ -161,6 +161,20 @@ def test_flexibility_of_the_kr300_is_an_encoder_skew(tmp_path):
     main = result.findings[0]
     assert main.effect == 'encoder_skew' and -0.0035 < main.parameters['delay'] < -0.002
     assert result.gap.after[0] < 0.25 * result.gap.before[0]
+
+
+def test_what_emps_is_known_to_have_is_found_and_predicts_pulses_of_force():
+    """Low-speed shape, ripple and delay; no limit of the drive, which gives twice the torque."""
+    machine = needed('emps')
+    fitted, pulses = ([machine.recording(piece) for piece in pieces] for pieces in (
+        machine.splits[0].fitted, machine.splits[0].held_out))
+    robot, _ = identified(machine, fitted)
+    result = find_discrepancy(fitted, robot)
+    named = {one.effect for one in result.named}
+    assert all(named & set(one.effects) for one in machine.known)
+    assert 'actuator_saturation' not in {spec.name for spec in result.robot.effects}
+    band = machine.bands[0]
+    assert model_rms(pulses, result.robot, band) < 0.8 * model_rms(pulses, robot, band)
 
 
 def test_half_of_emps_names_no_limit_that_its_peaks_resemble():

@@ -193,8 +193,9 @@ def _remainder(result):
             f'; {100.0 * share:.0f} % remains unexplained: {left.sentence}')
         yield (f'That explains {100.0 * (1.0 - share):.0f} % of what is missing '
                f'({sure:.2f} sure){rest}', True)
-    if result.verdict == FOUND and of_unexplained(left):
-        yield of_unexplained(left), False
+    unexplained = of_unexplained(left)
+    if result.verdict == FOUND and unexplained:
+        yield unexplained, False
     elif left is not None and result.verdict != FOUND:
         yield (f'Something is missing that the catalogue does not explain: {left.sentence}',
                False)

@@ -70,10 +70,7 @@ def judged(likelihood, found) -> tuple:
     while True:
         model = found.best.model
         left = functions.left_in(model, found.best.columns, caution_of(likelihood))
-        somewhere = {name for name, is_noisy in zip(
-            likelihood.robot.joints, noisy_joints(likelihood, model), strict=True) if is_noisy}
-        if left is not None:
-            somewhere.add(left.joint)
+        somewhere = joints_left(likelihood, model, left)
         if not worths or not somewhere:
             return found, worths, left, whole
         specs = [model.robot.effects[one.index] for one in worths]
@@ -175,12 +172,18 @@ def _share(functions, spec, one, left):
     return share
 
 
-def noisy_joints(likelihood, model) -> np.ndarray:
-    """Return where a model leaves more than drives make of noise, and than encoders do, (n,)."""
+def joints_left(likelihood, model, free) -> tuple:
+    """
+    Return the joints (of str) in which a model leaves something.
+
+    That is more than drives make of noise, and than encoders do, or a function ``free``, a Free.
+    """
     quiet = likelihood.excess_torque(model) <= np.maximum(
         LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
         caution_of(likelihood) * likelihood.clean_torque())
-    return ~np.all(quiet.reshape(2, -1), axis=0)  # also where it is not finite
+    quiet = np.all(quiet.reshape(2, -1), axis=0)  # not where it is not finite
+    return tuple(name for name, is_quiet in zip(likelihood.robot.joints, quiet, strict=True)
+                 if not is_quiet or free is not None and name == free.joint)
 
 
 def findings_of(likelihood, found, worths, held_out) -> list:

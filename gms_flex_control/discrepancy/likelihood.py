@@ -13,7 +13,7 @@ break-away does not count as much as motion does.
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 import os
 from typing import NamedTuple, Self
 
@@ -49,7 +49,6 @@ from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
 
-_constants_of = lru_cache(maxsize=16)(plant.constants_of)  # of many nuisance parameters
 _HIGHEST = (LARGEST_NOISE / PRACTICAL_FLOOR) ** 2  # variance of noise over null simulations
 _NULL_RUNS = 9         # simulations in which nothing is missing
 _MEASURED_BY = 6       # of these: by which residuals are whitened
@@ -254,7 +253,7 @@ class Likelihood:
     def constants(self, robot, x) -> np.record:
         """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
         mine = x[:len(self.nuisances)]  # recordings held out have none of their own
-        return tuned(_constants_of(robot), self.nuisances, mine, self._own)
+        return tuned(plant.constants_of(robot), self.nuisances, mine, self._own)
 
     def recorded(self, motions, x) -> list:
         """Return motions cleared of what nuisance parameters (P,) make particular about each."""

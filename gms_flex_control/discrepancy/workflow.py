@@ -15,8 +15,8 @@ from gms_flex_control.discrepancy.evidence import credible, doubted, posterior
 from gms_flex_control.discrepancy.findings import (
     as_given,
     findings_of,
+    joints_left,
     judged,
-    noisy_joints,
     predicting_subset,
     predictive,
 )
@@ -237,12 +237,11 @@ def _left_over(likelihood, model, free, gap, measured=None):
     """
     share, joints = min(gap.energy_ratio, 1.0), likelihood.robot.joints
     for data, function in ((likelihood, free), *([(measured, None)] if measured else [])):
-        noisy = noisy_joints(data, model)
-        if function is not None or np.any(noisy):
+        somewhere = joints_left(data, model, function)
+        if somewhere:
             left = signature_of(data, model, share, function)
             return left._replace(joints=tuple(
-                name for name, is_noisy in zip(joints, noisy, strict=True)
-                if is_noisy or name == left.joint))
+                name for name in joints if name in (*somewhere, left.joint)))
     return None
 
 

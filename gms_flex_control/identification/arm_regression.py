@@ -108,13 +108,12 @@ def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> 
             else base_of(arm, recordings[0].coupling))
     fit = _Fit(recordings, robot, sides, arm, base)
     fit.solve()
-    found = fit.nearest()  # and how well it is known
     if len(recordings) > 1:  # slopes by zeros are of the arm found
         loads = {r: one.body for r, one in fit.loads().items()}
-        fit = _Fit(recordings, robot, sides, arm, base, slopes_of=in_space(found[0]), loads=loads)
+        fit = _Fit(recordings, robot, sides, arm, base, slopes_of=in_space(fit.nearest[0]),
+                   loads=loads)
         fit.solve()
-        found = fit.nearest()
-    return fit.result(robot, found)
+    return fit.result(robot)
 
 
 def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Differences | None:
@@ -330,7 +329,7 @@ class _Fit:
         friction, spread = np.zeros((2, n, 2))
         friction[shared] = self._at.coupled.reshape(-1, 2)
         spread[shared] = np.sqrt(np.diag(self._covariance[0])[part]).reshape(-1, 2)
-        arm = self._arm if not len(self._base.lead) else self.nearest()[0]
+        arm = self._arm if not len(self._base.lead) else self.nearest[0]
         return Coupled(self._coupling, friction, spread,
                        np.where(self._arm.rigid, arm.motor_inertia, 0.0))
 
@@ -355,9 +354,10 @@ class _Fit:
                                  float(np.sqrt(own[0, 0])), np.sqrt(spread))
         return found
 
+    @cached_property
     def nearest(self) -> tuple[ArmParams, np.ndarray]:
         """
-        Return `nearest_arm` to the described one that has the base parameters.
+        `nearest_arm` to the described one that has the base parameters.
 
         Beside the scales, zeros and loads found: torques and angles are corrected by these.
         """
@@ -366,8 +366,8 @@ class _Fit:
         return nearest_arm(self._robot.arm, self._arm, self._base.combination, self._at.links,
                            self._last.normal[links, links], wider)
 
-    def result(self, robot, found) -> BaseFit:
-        """Return the BaseFit, ``found`` of `nearest`."""
+    def result(self, robot) -> BaseFit:
+        """Return the BaseFit."""
         rigid, n, links = self._arm.rigid, len(self._at.scale), self._layout.links
         names, own = names_of(robot.joints, rigid), self._last.normal[links, links]
         size, offset = 1.0 / np.sqrt(np.diag(own)), np.empty(n)
@@ -381,7 +381,7 @@ class _Fit:
             tuple(meaning_of(row, names) for row in self._base.combination), self._at.links,
             self._base.combination @ all_parameters(self._arm),
             self._covariance[0][links, links],
-            float(np.sqrt(np.linalg.cond(own * np.outer(size, size)))), offset, *found,
+            float(np.sqrt(np.linalg.cond(own * np.outer(size, size)))), offset, *self.nearest,
             self.differences())
 
     def differences(self) -> Differences:

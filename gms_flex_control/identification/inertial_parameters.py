@@ -34,7 +34,7 @@ _SLIGHT = 1e-6      # of a coefficient that is not worth a word
 _POINT = 1e-9       # of mass times length squared: next to a point [m^2]
 IN_PLANE = (0, 1, 9)  # of ten numbers: mass, centre of mass along the link, inertia about z
 _STEP = 1e-4        # of a number, for a derivative
-_LEARNT = 0.5       # of a prior standard deviation: data tell something
+_DETERMINED = 0.5   # of a prior standard deviation: above it the data leave a number open
 _PRIOR_SD = 0.3     # of a change of a Cholesky factor, and of the logarithm of motor inertia
 
 
@@ -205,7 +205,7 @@ def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, norma
     Return the arm nearest to the described one that has base parameters ``values`` (B,).
 
     And relative standard deviations (3, n) of `sizes_of` it and of motors that drive rigid
-    joints, infinite where nothing tells: each beside all others, which are not known either.
+    joints, infinite where the data leave them open: marginal ones, beside all others.
     Its links are bodies; a planar chain stays one. ``combination`` (B, P) is that of `base_of`
     for ``arm``, which is ``described`` in space with joints rigid that their motor drives;
     values are as sure as ``normal`` (B, B) says, their standard deviations times ``wider`` (B,).
@@ -235,7 +235,7 @@ def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, norma
     square = np.einsum('ija,ab,ijb->ij', slopes, covariance[:size, :size], slopes)
     spread[:2] = np.sqrt(np.nan_to_num(square, nan=np.inf))
     of_motors = np.sqrt(np.diag(covariance)[size:])
-    spread[2, rigid] = np.where(of_motors < _LEARNT * _PRIOR_SD, of_motors, np.inf)
+    spread[2, rigid] = np.where(of_motors < _DETERMINED * _PRIOR_SD, of_motors, np.inf)
     motor = described.motor_inertia.copy()
     motor[rigid] = motors(x)
     return replace(changed(x[:size]), motor_inertia=motor), spread

@@ -135,7 +135,7 @@ def _uncertainty_of_arm(identification):
     Return the same of links and motors.
 
     What the data determine by itself is as sure as its interval says. Links that carry each other
-    are known together, and priors apart: no farther off than what nothing tells of.
+    are known together, but priors are independent: they are no less sure than what is left open.
     """
     values, arm = {}, identification.robot.arm
     for j, result in enumerate(identification.joints):

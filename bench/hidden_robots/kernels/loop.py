@@ -154,6 +154,15 @@ def advance(x, command, time, period, substeps, c, strange, drawn):
 
 
 @compiled
+def begin_sample(k, period, x, supply, noise):
+    """Set voltage and torque noise of sample ``k``; return its time [s]."""
+    x.supply[0] = supply[k]
+    for j in range(x.noise.shape[0]):
+        x.noise[j] = noise[k, j]
+    return k * period
+
+
+@compiled
 def sense(x, time, period, c, sensed, encoders, rng):
     """Read the encoders into ``sensed.output``, through the effects on sensors."""
     s = x.signals
@@ -184,9 +193,7 @@ def run(reference, period, substeps, x, c, strange, drawn, supply, noise, sensed
         control_state, control, control_work, angles, torques):
     """Run T samples under the cascade; fills ``angles`` and ``torques``, see write_sample."""
     for k in range(reference.shape[0]):
-        time, x.supply[0] = k * period, supply[k]
-        for j in range(x.noise.shape[0]):
-            x.noise[j] = noise[k, j]
+        time = begin_sample(k, period, x, supply, noise)
         sense(x, time, period, c, sensed, encoders, rng)
         cascade.tick(control_state, sensed.output, reference[k], period if k > 0 else 0.0, control,
                      control_work)
@@ -199,9 +206,7 @@ def run_pid(reference, period, substeps, x, c, strange, drawn, supply, noise, se
             rng, control, angles, torques):
     """Run T samples as `run` does, under PID controllers."""
     for k in range(reference.shape[0]):
-        time, x.supply[0] = k * period, supply[k]
-        for j in range(x.noise.shape[0]):
-            x.noise[j] = noise[k, j]
+        time = begin_sample(k, period, x, supply, noise)
         sense(x, time, period, c, sensed, encoders, rng)
         pid.tick(control, sensed.output, reference[k], period if k > 0 else 0.0)
         write_sample(k, x, c, sensed.output, control, angles, torques)
