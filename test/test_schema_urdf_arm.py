@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+import warnings
 import xml.etree.ElementTree as ElementTree
 
 import core_runs
@@ -216,6 +217,23 @@ def test_a_urdf_that_is_no_arm_is_refused_in_a_sentence(text, sentence, tmp_path
     (tmp_path / 'arm.urdf').write_text(text)
     with pytest.raises(ConfigError, match=sentence):
         read_links(tmp_path / 'arm.urdf', ('j1', 'j2'))
+
+
+@pytest.mark.parametrize(('moments', 'taken', 'warned'), [
+    ((0.00191, 0.00846, 0.01059), (0.00202, 0.00857, 0.01059), True),  # as of a real arm's link
+    ((0.0, 0.1, 0.1), (2e-6, 0.1, 0.1), False),                        # a rod
+    ((0.0, 0.0, 0.0), (2e-6, 2e-6, 2e-6), False),                      # a point
+    ((0.1, 0.1, 0.2), (0.1, 0.1, 0.2), False),                         # a plate
+])
+def test_an_inertia_that_no_body_has_becomes_the_nearest(moments, taken, warned, tmp_path):
+    """The second moments of the body, half the trace less a moment, are none below 0."""
+    path = tmp_path / 'arm.urdf'
+    path.write_text(two(b=INERTIAL.format(1, *moments)))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        found = read_links(path, ('j1', 'j2')).inertia[1]
+    np.testing.assert_allclose(np.linalg.eigvalsh(found), taken, atol=3e-6)
+    assert [str(one.message)[:8] for one in caught] == ["link 'b'"] * warned
 
 
 def test_the_chain_is_chosen_by_joints_base_and_tip(tmp_path):

@@ -166,9 +166,10 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
     ``travel`` is the range of its angle, ``resolution`` the encoder step or noise [rad];
     ``joint`` and ``source`` are for messages; ``level`` is friction [N m] to begin with where
     inertia and gravity are only roughly known, so that what is left of the torque can drive the
-    joint instead of braking it: a warning then says so. Of motion one way, friction of the other
-    way begins alike, and a warning says that, too. Raises IdentificationError if the joint hardly
-    moves, or friction drives it and there is no ``level``.
+    joint instead of braking it: a warning then says so. Without it half of what both ways differ
+    by is that level, and other torque the rest. Of motion one way, friction of the other way
+    begins alike, and a warning says that, too. Raises IdentificationError if the joint hardly
+    moves, or friction drives it both ways together and there is no ``level``.
     """
     directions, lines, ways = [], [], [(1.0, 'forward'), (-1.0, 'backward')]
     seen = [int(np.sum(sign * friction_map.velocity > 0.0)) for sign, _ in ways]
@@ -181,12 +182,15 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
         warnings.warn(
             f'{source}: {joint} moves steadily {ways[unmoved][1]} {seen[unmoved]} times only: '
             'friction that way is set to that of the other way', stacklevel=2)
-    for sign, name in ways if unmoved is None else [ways[1 - unmoved]]:
-        rows = np.sign(friction_map.velocity) == sign
-        if (rows & friction_map.steady).sum() >= _FEWEST_WINDOWS:
-            rows &= friction_map.steady
+    ways = ways if unmoved is None else [ways[1 - unmoved]]
+    sides = [_steady_rows(friction_map, sign) for sign, _ in ways]
+    medians = [float(np.median(sign * friction_map.torque[rows]))
+               for (sign, _), rows in zip(ways, sides, strict=True)]
+    if level is None and len(ways) == 2 and sum(medians) > 0.0:
+        level = 0.5 * sum(medians)
+    for (sign, name), rows, median in zip(ways, sides, medians, strict=True):
         torque = sign * friction_map.torque[rows]
-        if np.median(torque) <= 0.0 and level is not None:
+        if median <= 0.0 and level is not None:
             warnings.warn(
                 f'{source}: what inertia and gravity leave of the torque of {joint} drives its '
                 f'{name} motion as often as it brakes it: other forces (links that act on each '
@@ -196,10 +200,10 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
                 friction_map.velocity[rows]).max()), 1e-3 * level))
             lines.append(directions[-1])
             continue
-        if np.median(torque) <= 0.0:
+        if median <= 0.0:
             raise IdentificationError(
                 f'{source}: friction of {joint} would drive its {name} motion (median '
-                f'{np.median(torque):.4g} N m); check the sign of the torque, the inertia and '
+                f'{median:.4g} N m); check the sign of the torque, the inertia and '
                 'gravity of the robot file')
         for fitted, fit in ((directions, _fit_stribeck), (lines, _straight)):
             fitted.append(fit(sign * friction_map.velocity[rows], torque))
@@ -209,6 +213,13 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
     return Start(*directions, attraction=directions[0].coulomb / _LAG,
                  yields=np.geomspace(finest, widest, N_SPREAD), straight=tuple(lines),
                  unmoved=unmoved)
+
+
+def _steady_rows(friction_map, sign):
+    """Return the windows (W,) of motion one way, the steady ones alone where they are enough."""
+    rows = np.sign(friction_map.velocity) == sign
+    steady = rows & friction_map.steady
+    return steady if steady.sum() >= _FEWEST_WINDOWS else rows
 
 
 def repeatability(segments: Sequence[Segment], arm: ArmParams, joint: int) -> float:

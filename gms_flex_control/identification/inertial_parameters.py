@@ -19,7 +19,7 @@ from typing import NamedTuple
 from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.dynamics import vectors as vec
-from gms_flex_control.params.arm import ArmParams, Body, in_space
+from gms_flex_control.params.arm import ArmParams, Body, in_space, inertia_of
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares, nnls
@@ -312,9 +312,7 @@ def body_of(parameters: np.ndarray) -> Body:
     """
     mass, com = parameters[0], parameters[1:4] / parameters[0]
     second = _pseudo_inertia(parameters)[:3, :3] - mass * np.outer(com, com)
-    size, axes = np.linalg.eigh(second)
-    second = (axes * np.maximum(size, _POINT * mass)) @ axes.T
-    return Body(float(mass), com, np.trace(second) * np.eye(3) - second)
+    return Body(float(mass), com, inertia_of(second, _POINT * mass))
 
 
 def _pseudo_inertia(parameters):

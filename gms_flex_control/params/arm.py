@@ -28,7 +28,7 @@ _OF_LINEAR = ((r'\bkg m\^2', 'kg'), (r'\b([mk]?N) m\b', r'\1'), (r'\bmrad\b', 'm
 _OF_CURRENT = ((r'\bkg m\^2', 'A s^2/rad'), (r'\bkg\b', 'A s^2/m'), (r'\bmN( m)?\b', 'mA'),
                (r'\bkN( m)?\b', 'kA'), (r'\bN( m)?\b', 'A'))
 _POINT = 1e-9     # of a mass, and of an inertia, that is next to none [kg], [kg m^2]
-_ROUNDING = 1e-3  # of a principal moment of inertia: files round their numbers
+ROUNDING = 1e-3  # of a principal moment of inertia: files round their numbers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -216,10 +216,21 @@ def require_body(name: str, mass: float, inertia: np.ndarray) -> None:
     if not moments[0] > 0.0:
         raise ParameterError(f'{name} has principal moments of inertia {shown} kg m^2: each must '
                              'be above 0; were ixx to izz swapped or given in other units?')
-    if moments[2] > (1.0 + _ROUNDING) * (moments[0] + moments[1]):
+    if moments[2] > (1.0 + ROUNDING) * (moments[0] + moments[1]):
         raise ParameterError(f'{name} has principal moments of inertia {shown} kg m^2: no body '
                              'has one above the sum of the other two; are they about the centre '
                              'of mass, as URDF wants them?')
+
+
+def inertia_of(second: np.ndarray, least: float) -> np.ndarray:
+    """
+    Return an inertia (3, 3) [kg m^2] from second moments (3, 3) about the same place.
+
+    No principal second moment is taken below ``least``: a body has none below 0.
+    """
+    size, axes = np.linalg.eigh(second)
+    second = (axes * np.maximum(size, least)) @ axes.T
+    return np.trace(second) * np.eye(3) - second
 
 
 def in_units(arm: ArmParams, text: str) -> str:
