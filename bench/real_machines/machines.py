@@ -84,11 +84,14 @@ class Machine:
         recording = import_csv(path, self.import_map).recording.of_joints([self.joint])
         return between(recording, piece.begin, piece.end)
 
+    @property
+    def files(self):
+        """Return the robot files that say what is known beforehand, tuple of Path."""
+        return (HERE / 'robots' / self.belief,) if self.belief else ()
+
     def believed(self, recording):
         """Return what is known of the robot beforehand (RobotParams)."""
-        if not self.belief:
-            return rigid_joints(recording.joints)
-        return load_robot(HERE / 'robots' / self.belief)
+        return load_robot(self.files) if self.files else rigid_joints(recording.joints)
 
 
 def shared_data():

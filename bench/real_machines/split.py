@@ -3,7 +3,9 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """One split of one machine: identify, ask what is missing, and put least squares beside it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 import time
 
 from bench.real_machines import least_squares
@@ -19,6 +21,8 @@ from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.identify import Options as IdentifyOptions
+from gms_flex_control.identification.output import write_friction
+from gms_flex_control.schema.files import load_robot
 import numpy as np
 
 CRASHED = 'crashed'
@@ -103,14 +107,21 @@ def parts_of(recordings, band):
 
 
 def identified(machine, recordings):
-    """Return the robot that identification finds, and '' or why it refuses: then the belief."""
+    """
+    Return the robot that identification finds, and '' or why it refuses: then the belief.
+
+    As it is read from the files that users give to discrepancy.
+    """
     robot = machine.believed(recordings[0])
     try:
         found = identify([(recording, ()) for recording in recordings], robot,
                          options=IdentifyOptions(estimate=machine.estimate))
     except GmsFlexError as error:
         return robot, str(error).replace(str(recordings[0].source), '').lstrip(': ')
-    return found.robot, ''
+    with TemporaryDirectory() as folder:
+        written = Path(folder) / 'friction.yaml'
+        write_friction(replace(found, described=bool(machine.files)), written)
+        return load_robot((*machine.files, written)), ''
 
 
 def asked(fitted, robot, held_out):
