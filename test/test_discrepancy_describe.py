@@ -59,6 +59,8 @@ def test_what_is_left_is_described_where_most_is_left(robot, gains):
         likelihood = Likelihood(order, robot)
         found = signature_of(likelihood, as_believed(likelihood), 1.0)
         assert (found.equation, found.joint, found.variable) == ('motor', 'joint2', 'constant')
+        other = signature_of(likelihood, as_believed(likelihood), 1.0, among=('joint1',))
+        assert other.joint == 'joint1'
 
 
 def test_a_torque_that_stays_while_a_joint_rests_is_no_function_of_its_angle():

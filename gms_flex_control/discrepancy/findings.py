@@ -16,12 +16,12 @@ from gms_flex_control.discrepancy.fitting import (
     numbers_of,
     prior_of,
 )
-from gms_flex_control.discrepancy.remainder import FreeFunctions
 from gms_flex_control.discrepancy.result import Finding, Residual, Value
 from gms_flex_control.discrepancy.thresholds import (
     BETTER,
     CLEARLY,
     LARGEST_NOISE,
+    MOST_LEFT,
     PLAUSIBLE,
     PRACTICAL,
     RESEMBLES,
@@ -52,12 +52,12 @@ def as_given(likelihood, state, nuisances, but=()) -> State:
     return State(model, nuisances, own, -np.inf, farthest)
 
 
-def judged(likelihood, found) -> tuple:
+def judged(likelihood, found, functions) -> tuple:
     """
     Return the search's end with effects that are real alone, their Worths, and what is left.
 
     Of a joint in which something is left, an effect that explains less than a free function of
-    some variable would in its place only resembles what is there.
+    some variable, of the FreeFunctions, would in its place only resembles what is there.
 
     Returns
     -------
@@ -66,17 +66,15 @@ def judged(likelihood, found) -> tuple:
 
     """
     found, worths = pruned(likelihood, timed(likelihood, found))
-    functions, whole = FreeFunctions(likelihood), found
+    whole = found
     while True:
-        model = found.best.model
-        left = functions.left_in(model, found.best.columns, caution_of(likelihood))
+        model, columns = found.best.model, found.best.columns
+        beside = functions.ranked(model, columns)
+        left = functions.left_in(model, columns, caution_of(likelihood), beside)
         somewhere = joints_left(likelihood, model, left)
         if not worths or not somewhere:
             return found, worths, left, whole
-        specs = [model.robot.effects[one.index] for one in worths]
-        shares = [_share(functions, spec, one, left)
-                  if spec.joint in somewhere or find(spec.name).whole_arm else np.inf
-                  for spec, one in zip(specs, worths, strict=True)]
+        shares = evidence_shares(functions, model, worths, left, beside, somewhere)
         if min(shares) > RESEMBLES:
             return found, worths, left, whole
         worst = worths[int(np.argmin(shares))].index
@@ -156,20 +154,33 @@ def _alone(likelihood, found, worths, held_out):
     return (other, others) if others else (found, worths)
 
 
-def _share(functions, spec, one, left):
+def evidence_shares(functions, model, worths, left, beside, somewhere) -> list:
     """
-    Return the share of the evidence there is for something that an effect, a Worth, has.
+    Return the share of the evidence there is for something that each effect, a Worth, has.
 
-    Of what a free function would in its place; and of what is left over its own variable, where
-    its shape is not that of what is there.
+    Of what a free function has that takes its place, and of what is ``left`` over its own
+    variable, where its shape is not that of what is there. Functions have the evidence of the list
+    ``beside`` with all effects there: one that has no less then does not take an effect's place,
+    and effects whose place the same one takes explain it together. Joints in which nothing is left
+    have nothing to resemble.
     """
-    free = functions.ranked(one.less, one.rest.columns, spec.joint)
-    if not free or free[0].evidence <= 0.0:
-        return np.inf
-    share = one.outright / free[0].evidence
-    if left is not None and left.joint == spec.joint and find(spec.name).evidence in left.variable:
-        share = min(share, one.outright / max(one.outright + left.evidence, 1e-12))
-    return share
+    rest = {free.place: max(free.evidence, 0.0) for free in beside}
+    specs = [model.robot.effects[one.index] for one in worths]
+    judged_here = [spec.joint in somewhere or find(spec.name).whole_arm for spec in specs]
+    instead = [{free.place: free.evidence for free in functions.ranked(
+        one.less, one.rest.columns, spec.joint)
+        if free.evidence - rest[free.place] > MOST_LEFT * one.outright} if is_judged else {}
+        for spec, one, is_judged in zip(specs, worths, judged_here, strict=True)]
+    if left is not None:
+        for spec, one, places in zip(specs, worths, instead, strict=True):
+            if left.joint == spec.joint and find(spec.name).evidence in left.variable:
+                places[left.place] = max(places.get(left.place, 0.0),
+                                         one.outright + left.evidence)
+    together = {place: sum(one.outright for one, places in zip(worths, instead, strict=True)
+                           if place in places) for place in rest}
+    return [min((together[place] / max(together[place] - one.outright + evidence, 1e-12)
+                 for place, evidence in places.items()), default=np.inf)
+            for one, places in zip(worths, instead, strict=True)]
 
 
 def joints_left(likelihood, model, free) -> tuple:
@@ -195,11 +206,13 @@ def findings_of(likelihood, found, worths, held_out) -> list:
     """
     models = posterior(found.tried, likelihood.known)
     whole = max(found.before.model.cost - found.best.model.cost, 1e-12)
+    beside = {other.key: other.gain for other in found.dictionary.ranked(
+        found.best.model, found.best.columns, PLAUSIBLE)} if worths else {}
     out = []
     for one in worths:
         before, after, main = _lessened(likelihood, found, one, held_out)
         spec = found.best.model.robot.effects[one.index]
-        others, kind = _rivals(found, one, spec), find(spec.name)
+        others, kind = _rivals(found, one, spec, beside), find(spec.name)
         alike = {(name, joint) for name, joint, share in others if share > _ALIKE or (
             name in kind.similar and share > kind.declared_from)}
         out.append(Finding(
@@ -216,11 +229,17 @@ def findings_of(likelihood, found, worths, held_out) -> list:
     return [one for one in out if one.main or not find(one.effect).of_recording]
 
 
-def _rivals(found, one, spec):
-    """Return (name, joint, share of its loss) of what could stand in an effect's place."""
+def _rivals(found, one, spec, beside):
+    """
+    Return (name, joint, share of its loss) of what could stand in an effect's place.
+
+    What another gains ``beside`` the effect (dict by key) is no share of what the effect explains.
+    """
     ranked = found.dictionary.ranked(one.less, one.rest.columns, PLAUSIBLE)
-    return [(*other.key, min(other.gain / max(one.loss, 1e-12), 1.0))
-            for other in ranked[:_RUNNERS] if other.key != (spec.name, spec.joint)]
+    shares = [(*other.key, min((other.gain - beside.get(other.key, 0.0)) / max(one.loss, 1e-12),
+                               1.0)) for other in ranked if other.key != (spec.name, spec.joint)]
+    return sorted((rival for rival in shares if rival[2] > 0.0), key=lambda rival: -rival[2])[
+        :_RUNNERS]
 
 
 def _values(likelihood, found, index):

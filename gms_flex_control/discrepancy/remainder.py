@@ -100,12 +100,13 @@ def tone(rows, period) -> tuple[float, float]:
     return k / (len(rows) * period), float(near / max(power.sum(), 1e-300))
 
 
-def signature_of(likelihood, model, share, free=None) -> Signature:
+def signature_of(likelihood, model, share, free=None, among=None) -> Signature:
     """
     Return the Signature of what a model, with all that was found, leaves.
 
-    In the equation in which it leaves most, or of ``free``, the Free function that explains most
-    of it; ``share`` is how much of what was missing is left.
+    In the equation, of joints ``among`` these (str), default all, in which it leaves most, or of
+    ``free``, the Free function that explains most of it; ``share`` is how much of what was missing
+    is left.
     """
     joints, n = likelihood.robot.joints, likelihood.robot.n_joints
     if free is not None:
@@ -119,7 +120,10 @@ def signature_of(likelihood, model, share, free=None) -> Signature:
             f'{scale.text(free.torque)} {scale.unit} rms in the {free.equation} equation of '
             f'{free.joint} are '
             + ('constant.' if variable == 'constant' else f'a function of {variable}.'))
-    channel = int(np.argmax(likelihood.excess_torque(model) / np.tile(likelihood.coulomb, 2)))
+    excess = likelihood.excess_torque(model) / np.tile(likelihood.coulomb, 2)
+    if among:
+        excess[~np.tile(np.isin(joints, among), 2)] = -1.0
+    channel = int(np.argmax(excess))
     equation, j = ('link', channel) if channel < n else ('motor', channel - n)
     squares = [np.mean(left[:, channel] ** 2) for left in likelihood.torque(model)]
     worst = int(np.argmax(squares))
@@ -163,6 +167,11 @@ class Free(NamedTuple):
     triangles: tuple   # of ndarray (S, K): its values along each recording
     noise: tuple | None = None  # likewise: how they differ in two null simulations, None if not
 
+    @property
+    def place(self) -> tuple[str, str, str]:
+        """Return (joint, equation, variable)."""
+        return self.joint, self.equation, self.variable
+
 
 class FreeFunctions:
     """
@@ -196,9 +205,7 @@ class FreeFunctions:
             Only functions of this joint.
 
         """
-        return self._ranked(NormalEquations(self._likelihood, model, columns), model, joint)
-
-    def _ranked(self, normal, model, joint=None):
+        normal = NormalEquations(self._likelihood, model, columns)
         lost = self._likelihood.noise_cleared(model, self._likelihood.weights(model.sums.groups))
         here = [one for one in self._all if joint in (None, 'arm', one[0])]
         found = self._likelihood.pool.map(lambda one: self._gained(normal, lost, *one), here)
@@ -229,15 +236,20 @@ class FreeFunctions:
         """Return how ``rows`` (K, R) of a function differ in two null simulations, (K, R)."""
         return np.zeros_like(rows) if noise is None else self._rows(joint, equation, noise)
 
-    def left_in(self, model, columns, caution=1.0) -> 'Free | None':
-        """Return the free function that a model lacks, a Free, None where nothing matters."""
-        without, normal = None, NormalEquations(self._likelihood, model, columns)
-        for free in self._ranked(normal, model)[:_TRIED]:
+    def left_in(self, model, columns, caution=1.0, ranked=None) -> 'Free | None':
+        """
+        Return the free function that a model lacks, a Free, None where nothing matters.
+
+        One of the ``ranked``, default all.
+        """
+        without = normal = None
+        for free in (self.ranked(model, columns) if ranked is None else ranked)[:_TRIED]:
             if (free.evidence <= EVIDENCE
                     or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):
                 continue
             rows = self._rows(free.joint, free.equation, free.triangles)
             if without is None:
+                normal = NormalEquations(self._likelihood, model, columns)
                 without = self._predicted(normal, model, columns, rows[:0], rows[:0])
             noise = self._noise(free.joint, free.equation, free.noise, rows)
             gain = gain_over(self._predicted(normal, model, columns, rows, noise) - without)

@@ -25,7 +25,7 @@ from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
-from gms_flex_control.discrepancy.remainder import signature_of
+from gms_flex_control.discrepancy.remainder import FreeFunctions, signature_of
 from gms_flex_control.discrepancy.result import (
     BAD_DATA,
     Behind,
@@ -49,7 +49,7 @@ from gms_flex_control.discrepancy.thresholds import (
     WORSE,
 )
 from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
-from gms_flex_control.discrepancy.worth import plausible_limit, with_fewer
+from gms_flex_control.discrepancy.worth import caution_of, plausible_limit, with_fewer
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -126,16 +126,21 @@ def _compared(motions, holdout, robot, options, say):
         motions, robot, options.seed, widened=options.doubt)), options, say)
     say('held-out prediction')
     searched = found
-    found, worths, free, whole = judged(likelihood, found)
+    functions = FreeFunctions(likelihood)
+    found, worths, free, whole = judged(likelihood, found, functions)
     held_out = HeldOut(likelihood, Likelihood(holdout, robot, options.seed, options.doubt,
                                               held_out=True) if holdout else None)
+    of_judged = found.best
     found, worths = predictive(likelihood, found, worths, held_out)
+    if found.best is not of_judged:
+        free = functions.left_in(found.best.model, found.best.columns, caution_of(likelihood))
     findings = findings_of(likelihood, found, worths, held_out)
     all_found = found.best
     gap = held_out.gap(found.before, all_found)
     left = _left_over(likelihood, all_found.model, free, gap, held_out.other)
     if left is not None:
         findings, left = _named(likelihood, findings, gap, free, left)
+        left = _of_open_joints(left, all_found.model, held_out.other or likelihood)
         found = _named_alone(likelihood, found, {one.key for one in findings})
     more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
     whole = whole if left else found
@@ -250,13 +255,13 @@ def _named(likelihood, findings, gap, free, left):
     Return the findings that are named though something is left, and the Signature of that.
 
     By joint: an effect is named where all effects together explain more than they leave of the
-    Gap of the joint whose torque it lessens most, and free runs of that joint are no worse. Else
-    it only resembles some of what is there. The Signature keeps the joints that nothing explains.
+    Gap of the joint whose torque it lessens most. Else it only resembles some of what is there.
+    Free runs, in which errors of all joints meet, decide what is written. The Signature keeps the
+    joints that nothing explains.
     """
     noise = np.nan_to_num(gap.floor) ** 2
     before, after = (np.maximum(one ** 2 - noise, 0.0) for one in (gap.retuned, gap.after))
-    explained = (after < MOST_LEFT * before) & ~(
-        gap.free_after ** 2 > CLEARLY * gap.free_before ** 2)
+    explained = after < MOST_LEFT * before
     named, resembling = [], set()
     for one in findings:
         torque = one.residual
@@ -268,6 +273,13 @@ def _named(likelihood, findings, gap, free, left):
     open_joints = tuple(name for name, is_explained in zip(gap.joints, explained, strict=True)
                         if name in left.joints and (name in resembling or not is_explained))
     return (named if any(one.main for one in named) else []), left._replace(joints=open_joints)
+
+
+def _of_open_joints(left, model, data):
+    """Return a Signature that is of one of its joints, which nothing explains."""
+    if not left.joints or left.joint in left.joints:
+        return left
+    return signature_of(data, model, left.share, among=left.joints)._replace(joints=left.joints)
 
 
 def _named_alone(likelihood, found, named):
@@ -288,9 +300,9 @@ def _written(likelihood, found, whole, held_out, further, named):
     resemble what is missing, ``further`` States, or known parameters as given (all, or all but
     those of the joints with effects that are ``named``). None is written that predicts torque, the
     drive's torque or free runs worse than the model as given, which may have been fitted to the
-    blocks left out, or effects worse than re-tuning alone; where one of them is main, not by what
-    matters, and not clearly. A known parameter beyond its prior takes no effect's place: it is a
-    wrong belief.
+    blocks left out, or effects worse than the same parameters re-tuned alone; where one of them is
+    main, not by what matters, and not clearly. A known parameter beyond its prior takes no
+    effect's place: it is a wrong belief.
     """
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
@@ -299,23 +311,26 @@ def _written(likelihood, found, whole, held_out, further, named):
                 np.abs(state.model.x) / likelihood.sd <= limit):
             best.setdefault(len(state.key(known)), state)
 
-    def is_safe(state):
+    def is_safe(state, alone):
         effects = state.key(known)
         matters = any(named.get(key) for key in effects)
         return not (held_out.worsens(
             state, given, matters * (WORSE if held_out.other else NOT_CLEARLY))
-            or effects and held_out.worsens(state, found.before, matters * NOT_CLEARLY))
-    others = [found.before, whole.best, *(best[size] for size in sorted(best)[:_SIZES]), *further]
+            or effects and held_out.worsens(state, alone, matters * NOT_CLEARLY))
 
-    def is_written(state):
-        return is_safe(state) and (held_out.other or _may_stand_in(
+    def is_written(state, alone=found.before):
+        return is_safe(state, alone) and (held_out.other or _may_stand_in(
             likelihood, held_out, state, found.before, named))
+    others = [one for one in (
+        found.before, whole.best, *(best[size] for size in sorted(best)[:_SIZES]), *further)
+        if is_written(one)]
     safe = is_written(found.best)
     if not safe:
         of_named = {joint for _, joint in named if joint in likelihood.robot.joints}
-        others += [as_given(likelihood, found.best, found.nuisances, but)
-                   for but in ((), of_named)]
-    others = [one for one in others if is_written(one)]
+        for but in ((), of_named):
+            one, alone = (as_given(likelihood, state, found.nuisances, but)
+                          for state in (found.best, found.before))
+            others += [one] if is_written(one, alone) else []
     other = min((given, *others), key=held_out.energy)
     if safe and CLEARLY * held_out.energy(other) >= held_out.energy(found.best):
         return found.best

@@ -1,0 +1,64 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Which effects only resemble what is there, and what could stand in an effect's place."""
+
+from types import SimpleNamespace
+
+from bench.hidden_robots.cases import make_case
+from gms_flex_control.discrepancy.findings import evidence_shares
+from gms_flex_control.discrepancy.remainder import Free
+from gms_flex_control.discrepancy.thresholds import RESEMBLES
+from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.params.robot import EffectSpec
+import pytest
+
+RATE = 'link rate'
+OUTRIGHT = {'low_speed_friction': 1000.0, 'friction_hysteresis': 60.0, 'torque_ripple': 10.0}
+
+
+def free(evidence, variable=RATE):
+    return Free(evidence, 0.1, 'slide', 'link', variable, ())
+
+
+def shares_of(instead, beside, left=None):
+    """Return the share of each effect of ``instead``, dict of evidence in its place, by name."""
+    names = list(instead)
+    model = SimpleNamespace(robot=SimpleNamespace(effects=tuple(
+        EffectSpec(name=name, joint='slide', values=(0.1, 0.1, 0.1)) for name in names)))
+    worths = [SimpleNamespace(index=i, outright=OUTRIGHT[name], less=name,
+                              rest=SimpleNamespace(columns=None)) for i, name in enumerate(names)]
+    functions = SimpleNamespace(ranked=lambda less, columns, joint: [free(instead[less])])
+    return dict(zip(names, evidence_shares(functions, model, worths, left, [free(beside)],
+                                           ('slide',)), strict=True))
+
+
+def test_a_function_of_more_evidence_in_its_place_makes_an_effect_a_resemblance():
+    """It has what the effect has, and 500 beside."""
+    assert shares_of({'low_speed_friction': 1500.0}, 500.0)['low_speed_friction'] == (
+        pytest.approx(1000.0 / 1500.0))
+
+
+def test_a_function_with_as_much_beside_an_effect_does_not_take_its_place():
+    """What it explains is something else: the ripple explains its own part."""
+    assert shares_of({'torque_ripple': 31.0}, 30.0)['torque_ripple'] > RESEMBLES
+
+
+@pytest.mark.parametrize('left', [None, free(30.0)])
+def test_effects_whose_place_one_function_takes_explain_it_together(left):
+    """Each alone but for the other's part: the small one would be 60 of 90."""
+    both = shares_of({'low_speed_friction': 1030.0, 'friction_hysteresis': 90.0}, 30.0, left)
+    assert both == pytest.approx(dict.fromkeys(both, 1060.0 / 1090.0))
+    alone = shares_of({'friction_hysteresis': 90.0}, 30.0, left)
+    assert alone['friction_hysteresis'] == pytest.approx(60.0 / 90.0)
+
+
+def test_what_another_effect_explains_is_no_rival():
+    """Of two effects one may be found: the other gains as much in its place as beside it."""
+    case = make_case('double', 2, duration=24.0)
+    hidden = {(spec.name, spec.joint) for spec in case.truth.effects}
+    result = find_discrepancy([case.recording], case.nominal, Options(most=1))
+    found, = (*result.findings, *result.minor)
+    (name, joint), = hidden - {found.key}
+    assert (name, joint) not in found.indistinguishable_from
+    assert found.runner_up != f'{name} of {joint}'
