@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from bench.hidden_arms.base_parameters import ordinary_least_squares
 from bench.hidden_arms.wrong_links import base_values, believed, hidden_arm, moved
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import low_pass, rms
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import IdentificationError
@@ -98,6 +99,28 @@ def test_what_the_motion_does_not_move_is_said(hidden):
     assert np.isinf(result.spread[2, 5])
     assert rows['arm.joint6.motor_inertia'].flags == ('not identifiable',)
     assert 'hardly moves it' in rows['arm.joint6.motor_inertia'].note
+
+
+def on_a_line(robot, arm):
+    """Return a Recording of joints that turn all at once, with friction and what no model has."""
+    rng, time = np.random.default_rng(2), np.arange(3000) / 100.0
+    turns, size = 2.0 * np.pi * np.array([0.1, 0.27, 0.6]), np.array([0.5, 0.2, 0.08])
+    angles = np.outer(time, turns) + rng.uniform(0.0, 6.0, 3)
+    way = 0.4 * np.array([1.0, -0.6, 0.9, 1.2, 0.8, 1.1])
+    q, dq, ddq = (np.outer(np.sin(angles + 0.5 * np.pi * k) @ (size * turns ** k), way)
+                  for k in range(3))
+    q += np.array([0.2, -0.7, 0.9, 0.1, 0.5, 0.0])
+    torque = chain.inverse_dynamics(q, dq, ddq, arm) + np.tanh(dq / 0.01)
+    torque += 0.05 * torque.std(axis=0) * low_pass(20.0 * rng.standard_normal(q.shape), 40)
+    return Recording(joints=robot.joints, time=time, source='line', tau_motor=torque,
+                     q_link=q + 2e-5 * rng.standard_normal(q.shape))
+
+
+def test_motion_of_all_joints_at_once_makes_no_constant_torque_of_their_weight(hidden):
+    """What differs between the directions is 0, and gravity hardly changes along that line."""
+    recording = on_a_line(hidden[1], hidden[0])
+    offset = fit_base_parameters([recording], hidden[1]).offset
+    assert np.all(np.abs(offset) < 0.2 * np.sqrt(np.mean(recording.tau_motor ** 2, axis=0)))
 
 
 def test_a_recording_that_the_low_pass_leaves_nothing_of_is_refused(hidden):

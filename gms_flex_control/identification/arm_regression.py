@@ -67,7 +67,9 @@ _WEIGHED = 1e-3     # standard deviation of a load's mass where that alone is kn
 _VAGUE_SD = 1e3     # the same of base parameters: those of a joint that stands have a variance
 _DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load identifies it
 _TAILS = 4.0        # degrees of freedom of such logarithms: a light link may be described wrongly
+_ASYMMETRY_SD = 0.1  # half of what friction differs by between the directions, of the rms torque
 _ROUNDS = 50        # of Gauss and Newton at most: scales multiply parameters
+_LEAST_SHARE = 0.1  # of a step that is taken where steps go to and fro
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them
 _LOADED = 5.0       # standard errors beyond which friction grows with the load
 _SURE = 3.0         # standard deviations of its mass that an unknown load has at least
@@ -173,6 +175,7 @@ class _Fit:
                 self._rows, self._described(), self._own, unknown,
                 [f'{recordings[0].source}: the torque of {joint}' for joint in robot.joints])
         self._at.scale[:] = self._guess
+        self._memory = 1.0
         self._last = None  # the _Regression of the last step
 
     def _described(self):
@@ -200,6 +203,18 @@ class _Fit:
             columns.append(rows.change[chosen, j:j + 1])
         return np.concatenate(columns, axis=1)
 
+    def _expected(self, j):
+        """
+        Return half of what friction differs by between the directions, in deviations (1, F).
+
+        Without that a motion of all joints at once leaves open whether a constant torque or the
+        links' weight is in it. ``_memory`` samples count as one, and this one as many.
+        """
+        row = np.zeros((1, self._own(j, slice(0, 1)).shape[1]))
+        sd = _ASYMMETRY_SD * np.sqrt(np.mean(self._rows.torque[:, j] ** 2))
+        row[0, [0, 4]] = np.array([0.5, -0.5]) * np.sqrt(self._memory) / sd
+        return row
+
     def _load_column(self, j):
         """Return the size of the torque that moves a link, against the motion (S,)."""
         return np.sign(self._rows.rate[:, j]) * np.abs(self._at.scale[j] * self._torque()[:, j])
@@ -215,6 +230,9 @@ class _Fit:
     def solve(self) -> None:
         """Find parameters, zeros and scales; then once more where friction grows with load."""
         self._iterate()
+        if len(self._base.lead):
+            self._memory = max(self._scatter()[2], 1.0)
+            self._iterate()
         left = [self._left(j) for j in range(len(self._at.scale))]
         self._loaded = np.array([
             value > max(_LOADED * error, _ADDS) for value, error in map(self._tried_load, left)])
@@ -243,7 +261,7 @@ class _Fit:
 
     def _iterate(self):
         rows, layout, at = self._rows, self._layout, self._at
-        weighting = None
+        weighting, before, share = None, np.zeros(layout.coupled.stop), 1.0
         for k in range(_ROUNDS):
             precision, model = self._precision(), self._torque()
             columns = self._columns(model)
@@ -257,10 +275,14 @@ class _Fit:
             weighting = weighting or weighting_of(columns, left, rows.rate, self._own,
                                                   rows.recording)
             self._last = _Regression(*regress(
-                columns, left, rows.rate, rows.block, self._own, precision, pull, weighting),
+                columns, left, rows.rate, rows.block, self._own, precision, pull, weighting,
+                self._expected if len(self._base.lead) else None),
                 [rows for rows, _ in weighting])
+            turned = self._last.step @ self._last.normal @ before < 0.0
+            share = max(0.5 * share, _LEAST_SHARE) if turned else min(1.5 * share, 1.0)
+            before = self._last.step
             links, zeros, scales, loads, coupled = (
-                self._last.step[part] for part in layout.slices)
+                share * before[part] for part in layout.slices)
             at.links = at.links + links
             at.zeros[1:] += zeros.reshape(at.zeros[1:].shape)
             at.scale[layout.free] *= np.exp(np.clip(scales, -1.0, 1.0))
@@ -306,10 +328,9 @@ class _Fit:
                                 *loads, rows.coupled], axis=2)
         return self._at.scale[:, None] * whole
 
-    @cached_property
-    def _covariance(self):
+    def _scatter(self):
         """
-        Return covariance and inverse of the normal matrix (P, P), of the last step.
+        Return the inverse normal matrix (P, P) of the last step, scores, and `memory_of` these.
 
         How many samples count as one is measured by all base parameters together that are
         determined: noise of encoders counts less than white one, what the model lacks counts
@@ -318,8 +339,13 @@ class _Fit:
         inverse = inverse_of(self._last.normal)
         scores = block_scores(self._last.pieces, self._last.step, self._last.normal)
         links = self._layout.links if len(self._base.lead) else slice(None)
-        memory = memory_of(inverse, self._precision(), scores, links)
-        return clustered(inverse, scores, memory), inverse
+        return inverse, scores, memory_of(inverse, self._precision(), scores, links)
+
+    @cached_property
+    def _covariance(self):
+        """Return covariance and inverse of the normal matrix (P, P), of the last step."""
+        inverse, *scatter = self._scatter()
+        return clustered(inverse, *scatter), inverse
 
     def _found_coupled(self):
         """Return the Coupled, None where there is none."""

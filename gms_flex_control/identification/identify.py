@@ -269,7 +269,8 @@ class Data:
 
     def _sentences(self, joint, fit, objective):
         coupled = coupling_sentences(objective, self.bundle, fit.theta, self.robot.joints,
-                                     held_out(self.bundle.period), self._apart)
+                                     held_out(self.bundle.period), self._apart,
+                                     self.described.arm.frames is not None)
         return (*self.choices[joint].sentences, *_few_blocks(fit), *coupled)
 
     def _errors(self, joint, fits):

@@ -33,6 +33,14 @@ _SHARE = 0.25         # of what is left, on data held out, that others must acco
 _WORTH = 0.02         # of the drive torque that must be left
 _FEWEST = 100         # samples to fit and to judge by
 _OWN, _SLOW = 6, 0.05  # columns of the axis itself; speed, of the usual, where its sign is clear
+_NO_LINKS = (
+    'the axes act on each other (inertia, gravity), which a model of single axes lacks, so '
+    'inertia, gravity and friction hold for this motion only; move one axis at a time, or '
+    'describe the links as a planar arm or by a URDF whose masses are right')
+_WRONG_LINKS = (
+    'the links are not as this model has them, so friction holds for this motion only; estimate '
+    'them (--estimate all) from motion in which joints do not all turn at once, as gms_flex plan '
+    'writes it, and state loads in recording.yaml')
 
 
 def _model_friction(objective, segment, theta, period):
@@ -223,9 +231,12 @@ def loops_of(objective: Objective, bundle: Bundle, theta: np.ndarray) -> tuple:
 
 
 def coupling_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray,
-                       names: Sequence[str], chosen: Callable, apart=()) -> tuple:
+                       names: Sequence[str], chosen: Callable, apart=(),
+                       in_space: bool = False) -> tuple:
     """
     Return a sentence if other axes account for what the model leaves of a joint's torque, or none.
+
+    ``in_space``: links of a URDF have been taken off the torque.
 
     Of decoupled axes only: least squares of the residual on the axis' own motion (what the others
     do had its share in what was fitted) and on the accelerations of the others, alone or with what
@@ -253,10 +264,8 @@ def coupling_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray,
     if share < _SHARE or rms(left[out]) < _WORTH * rms(torque[out]):
         return ()
     return (f'{100 * share:.0f} % of what this model leaves of the torque of {names[joint]} goes '
-            f'with the motion of {", ".join(names[k] for k in others)}: the axes act on each '
-            'other (inertia, gravity), which a model of single axes lacks, so inertia, gravity '
-            'and friction hold for this motion only; move one axis at a time, or describe the '
-            'links as a planar arm or by a URDF whose masses are right',)
+            f'with the motion of {", ".join(names[k] for k in others)}: '
+            f'{_WRONG_LINKS if in_space else _NO_LINKS}',)
 
 
 def _left(objective, bundle, theta, segment, others):

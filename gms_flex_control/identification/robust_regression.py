@@ -77,7 +77,7 @@ def held_out_error(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -
 
 
 def regress(regressors, torque, rate, block, friction: Callable, precision=0.0, pull=0.0,
-            weighting=None) -> tuple:
+            weighting=None, expected=None) -> tuple:
     """
     Return weighted least squares of the torque (S, n) of all joints on regressors (S, n, B).
 
@@ -85,7 +85,8 @@ def regress(regressors, torque, rate, block, friction: Callable, precision=0.0, 
     columns ``friction(joint, rows)``, is eliminated. ``precision`` (B,) is that of priors at
     ``pull`` (B,); ``weighting`` is that of `weighting_of` unless given. The values (B,), their
     normal matrix (B, B) and, for each joint, regressors, torque, numbers of blocks of time and an
-    orthonormal basis of what was eliminated, scaled.
+    orthonormal basis of what was eliminated, scaled. ``expected(joint)`` (K, F) are sums of what
+    is eliminated that are 0 within one standard deviation: further rows, of block -1.
     """
     count = regressors.shape[2]
     normal = np.diag(np.broadcast_to(precision, count).astype(float))
@@ -93,14 +94,19 @@ def regress(regressors, torque, rate, block, friction: Callable, precision=0.0, 
     pieces = []
     for j, (rows, root) in enumerate(weighting or weighting_of(regressors, torque, rate,
                                                                friction)):
-        basis, size, _ = np.linalg.svd(friction(j, rows) * root[:, None], full_matrices=False)
+        own, samples = friction(j, rows) * root[:, None], len(root)
+        own = own if expected is None else np.concatenate([own, expected(j)])
+        basis, size, _ = np.linalg.svd(own, full_matrices=False)
         basis = basis[:, size > _SAME * size[:1]]
-        scaled, target = regressors[rows, j] * root[:, None], torque[rows, j] * root
+        further = len(own) - samples
+        scaled = np.pad(regressors[rows, j] * root[:, None], ((0, further), (0, 0)))
+        target = np.pad(torque[rows, j] * root, (0, further))
         scaled = scaled - basis @ (basis.T @ scaled)
         target = target - basis @ (basis.T @ target)
         normal += scaled.T @ scaled
         right += scaled.T @ target
-        pieces.append((scaled, target, block[rows], basis))
+        pieces.append((scaled, target, np.pad(block[rows], (0, further), constant_values=-1),
+                       basis))
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values = np.linalg.lstsq(normal / np.outer(size, size), right / size, rcond=1e-10)[0] / size
     return values, normal, pieces
@@ -116,7 +122,7 @@ def block_scores(pieces: Sequence, values: np.ndarray, normal: np.ndarray) -> np
         columns, left = np.concatenate([scaled @ half, basis], axis=1), target - scaled @ values
         places = np.r_[:own, at:at + basis.shape[1]]
         at += basis.shape[1]
-        for k in np.unique(block):
+        for k in np.unique(block[block >= 0]):
             rows = columns[block == k]
             scores[k, places] += rows.T @ left[block == k]
             share[k][np.ix_(places, places)] += rows.T @ rows
