@@ -255,6 +255,27 @@ def test_no_model_is_written_that_predicts_worse_than_the_one_given():
     assert np.linalg.norm(result.gap.after) <= np.linalg.norm(result.gap.before)
 
 
+@pytest.mark.parametrize(('angle', 'stiffness', 'fitted'), [(-0.58, 8.0, 1), (-0.63, 10.0, 2)])
+def test_an_effect_matters_that_other_recordings_do_not_touch(angle, stiffness, fitted):
+    """A stop is met in one recording; those that stay clear of it neither deny nor belittle it."""
+    rng, time = np.random.default_rng(3), np.arange(7000) * 2e-3
+    robot, gains = draw_robot(rng, 'stiff')
+    references = [draw_reference(rng, 'rich', 'stiff', time) for _ in range(3)]
+    stop = EffectSpec(name='end_stop', joint='joint1', values=(angle, stiffness))
+    recordings = []
+    for scale, reference in zip((1.0, 0.6, 0.6), references, strict=True):
+        motion = simulate(replace(robot, effects=(stop,)), robot, gains, scale * reference, seed=1)
+        q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
+        recordings.append(recorded(robot, time, q_link, q_motor, motion.command,
+                                   scale * reference))
+        assert (scale == 1.0) == (q_link[:, 0].min() < angle)
+    result = find_discrepancy(recordings[:fitted], robot, Options(most=1),
+                              holdout=recordings[fitted:])
+    assert result.verdict == FOUND, result.words
+    assert [one.key for one in result.findings] == [one.key for one in result.added] == [
+        (stop.name, stop.joint)]
+
+
 def test_what_differs_between_recordings_is_no_effect():
     """A zero that an encoder lost and a new offset of a drive are said of their recording."""
     case = make_case('clean', 0, duration=SHORT)

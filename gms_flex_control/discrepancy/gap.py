@@ -102,6 +102,13 @@ class HeldOut:
         """Return the residual torque of each joint in motion, rms (n,) [N m]."""
         return _torque(self._measured, self._parts(state))[0]
 
+    def action(self, model, other) -> np.ndarray:
+        """Return the difference of the torques of two Fitted, joints in motion, rms (n,) [N m]."""
+        measured = self._measured
+        squares = measured.whitened.in_motion([(one - two) ** 2 for one, two in zip(
+            measured.torque(model), measured.torque(other), strict=True)])
+        return np.sqrt(squares.reshape(2, -1).sum(axis=0))
+
     def gap(self, before, after) -> Gap:
         """Return the Gap of States: parameters re-tuned as far as plausible, effects found."""
         likelihood, measured = self._likelihood, self._measured

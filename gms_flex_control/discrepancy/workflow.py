@@ -291,14 +291,15 @@ def _named_alone(likelihood, found, named):
     return found._replace(best=with_fewer(likelihood, found, *withheld))
 
 
-def _written(likelihood, found, whole, held_out, further, named):
+def _written(likelihood, found, larger, held_out, further, named):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
     That with the effects found, if they are ``named`` (dict of key to whether it is main) or
     explain more than they leave, unless another is clearly better: with fewer, with such as only
-    resemble what is missing, ``further`` States, or known parameters as given (all, or all but
-    those of the joints with effects that are ``named``). None is written that predicts torque, the
+    resemble what is missing (``larger``, a Found), or ``further`` States. Known parameters are
+    re-tuned, or if that may not be written as given (all, or all but those of the joints with
+    effects that are ``named``). None is written that predicts torque, the
     drive's torque or free runs worse than the model as given, which may have been fitted to the
     blocks left out, or effects worse than the same parameters re-tuned alone; where one of them is
     main, not by what matters, and not clearly. A known parameter beyond its prior takes no
@@ -322,19 +323,18 @@ def _written(likelihood, found, whole, held_out, further, named):
         return is_safe(state, alone) and (held_out.other or _may_stand_in(
             likelihood, held_out, state, found.before, named))
     others = [one for one in (
-        found.before, whole.best, *(best[size] for size in sorted(best)[:_SIZES]), *further)
+        found.before, larger.best, *(best[size] for size in sorted(best)[:_SIZES]), *further)
         if is_written(one)]
-    safe = is_written(found.best)
-    if not safe:
+    wholes = [found.best] if is_written(found.best) else []
+    if found.best.key(known) and not wholes:
         of_named = {joint for _, joint in named if joint in likelihood.robot.joints}
         for but in ((), of_named):
             one, alone = (as_given(likelihood, state, found.nuisances, but)
                           for state in (found.best, found.before))
-            others += [one] if is_written(one, alone) else []
+            wholes += [one] if is_written(one, alone) else []
     other = min((given, *others), key=held_out.energy)
-    if safe and CLEARLY * held_out.energy(other) >= held_out.energy(found.best):
-        return found.best
-    return other
+    whole = min(wholes, key=held_out.energy, default=other)
+    return whole if CLEARLY * held_out.energy(other) >= held_out.energy(whole) else other
 
 
 def _may_stand_in(likelihood, held_out, state, before, named):
