@@ -299,11 +299,11 @@ def _written(likelihood, found, larger, held_out, further, named):
     explain more than they leave, unless another is clearly better: with fewer, with such as only
     resemble what is missing (``larger``, a Found), or ``further`` States. Known parameters are
     re-tuned, or if that may not be written as given (all, or all but those of the joints with
-    effects that are ``named``). None is written that predicts torque, the
-    drive's torque or free runs worse than the model as given, which may have been fitted to the
-    blocks left out, or effects worse than the same parameters re-tuned alone; where one of them is
-    main, not by what matters, and not clearly. A known parameter beyond its prior takes no
-    effect's place: it is a wrong belief.
+    effects that are ``named``). None is written that predicts torque, the drive's torque or free
+    runs worse than the model as given, which may have been fitted to the blocks left out, or
+    effects worse than the same parameters re-tuned alone; where one of them is main, not by what
+    matters, and not clearly. A known parameter beyond its prior takes no effect's place: it is a
+    wrong belief.
     """
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
