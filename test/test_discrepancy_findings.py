@@ -6,11 +6,14 @@
 from types import SimpleNamespace
 
 from bench.hidden_robots.cases import make_case
+from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.findings import evidence_shares
+from gms_flex_control.discrepancy.gap import Errors, HeldOut
 from gms_flex_control.discrepancy.remainder import Free
 from gms_flex_control.discrepancy.thresholds import RESEMBLES
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.params.robot import EffectSpec
+import numpy as np
 import pytest
 
 RATE = 'link rate'
@@ -62,3 +65,33 @@ def test_what_another_effect_explains_is_no_rival():
     (name, joint), = hidden - {found.key}
     assert (name, joint) not in found.indistinguishable_from
     assert found.runner_up != f'{name} of {joint}'
+
+
+def state_of_errors(torque, free, *effects):
+    """Return a State of which only its effects and errors by joint, a and b, are known."""
+    torque, free = np.array(torque), np.array(free)
+    return SimpleNamespace(
+        key=lambda known: frozenset(effects), model=SimpleNamespace(x=np.zeros(1)),
+        errors=Errors(torque, torque, free, float(np.sum(torque ** 2) * np.sum(free ** 2))))
+
+
+class Told(HeldOut):
+    """Held-out data on which the errors of States are known."""
+
+    def errors(self, state):
+        return state.errors
+
+
+def test_an_effect_is_written_beside_known_parameters_as_given(monkeypatch):
+    """Re-tuning b lessens its torque and spoils its free runs: that says nothing of a's effect."""
+    effect = ('shear_thinning', 'a')
+    given, tuned = state_of_errors((1.0, 1.0), (1.0, 1.0)), state_of_errors((1.0, 0.3), (1.0, 3.0))
+    best = state_of_errors((0.5, 0.3), (0.5, 3.0), effect)
+    alone = state_of_errors((0.5, 1.0), (0.5, 1.0), effect)
+    monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): (
+        given if state is tuned else alone))
+    likelihood = SimpleNamespace(known=0, sd=np.ones(1), coulomb=np.ones(2),
+                                 robot=SimpleNamespace(joints=('a', 'b')))
+    found = SimpleNamespace(before=tuned, best=best, nuisances=None, tried=())
+    written = workflow._written(likelihood, found, found, Told(likelihood), [], {effect: True})
+    assert written is alone

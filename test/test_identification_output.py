@@ -93,7 +93,11 @@ def test_friction_that_the_data_leave_open_is_known_worse_than_usual():
 
 
 def test_an_arm_is_known_as_its_intervals_say_and_what_is_open_worse_than_usual():
-    """Of links that carry each other no worse: all at once they would be anything."""
+    """
+    Of links that carry each other no worse: all at once they would be anything.
+
+    A motor inertia that identification leaves as described is as sure as its description.
+    """
     made = identification()
     made = edited(made, estimates=(
         *made.joints[0].estimates,
@@ -101,6 +105,10 @@ def test_an_arm_is_known_as_its_intervals_say_and_what_is_open_worse_than_usual(
         estimated('arm.joint1.damping', 'N m s/rad', 0.1, 0.0001),
         estimated('arm.joint1.motor_inertia', 'kg m^2', 0.1, 0.09, known=False),
         estimated('arm.joint1.gravity_torque', 'N m', 2.0, 0.2)))
+    assert 'uncertainty.joint1.motor_inertia' not in uncertainty_values(made)  # as described
+    arm = made.believed.arm
+    made = replace(made, believed=replace(made.believed, arm=replace(
+        arm, motor_inertia=1.5 * arm.motor_inertia)))
     values = uncertainty_values(made)
     told = {kind: values.get(f'uncertainty.joint1.{kind}') for kind in KINDS}
     assert told['stiffness'] == pytest.approx(0.03) and told['gravity'] == pytest.approx(0.1)

@@ -32,6 +32,7 @@ _COMMENT_WIDTH = 90
 # and of the arm: that of a single axis alone
 _OF_ARM = {'inertia': 'inertia', 'gravity': 'gravity_torque', 'motor_inertia': 'motor_inertia',
            'stiffness': 'stiffness', 'damping': 'damping'}
+_BY_JOINT = ('motor_inertia', 'stiffness', 'damping')  # of them, one number each in the arm
 # times what is usual: intervals know nothing of what a model lacks, nor of other days
 _LEAST_TOLD, _MOST_TOLD = 0.5, 4.0
 
@@ -136,13 +137,15 @@ def _uncertainty_of_arm(identification):
 
     What the data determine by itself is as sure as its interval says. Links that carry each other
     are known together, but priors are independent: they are no less sure than what is left open.
+    What stays as it was described, the data being no better, stays as sure as that is.
     """
     values, arm = {}, identification.robot.arm
     for j, result in enumerate(identification.joints):
         named = {one.name: one for one in result.estimates}
         found = {kind: named.get(f'arm.{result.joint}.{name}') for kind, name in _OF_ARM.items()}
         sizes = {kind: np.inf if one.flags else spread(one) / CONFIDENT
-                 for kind, one in found.items() if one and one.value}
+                 for kind, one in found.items() if one and one.value and not (
+                     one.flags and _is_as_described(identification, kind, j))}
         if identification.spread is not None:
             weight, inertia, motor = identification.spread[:, j]
             sizes |= {'gravity': min(weight, _MOST_TOLD * KINDS['gravity'].sd),
@@ -160,6 +163,13 @@ def _uncertainty_of_arm(identification):
             values[f'uncertainty.{result.joint}.{kind}'] = float(max(
                 size if np.isfinite(size) else _MOST_TOLD * usual, _LEAST_TOLD * usual))
     return values
+
+
+def _is_as_described(identification, kind, j):
+    """Return whether a kind of parameter of the j-th joint is what the user's file says."""
+    own, described = (getattr(one.arm, kind, None) for one in (
+        identification.robot, identification.believed))
+    return identification.described and kind in _BY_JOINT and own[j] == described[j]
 
 
 def _drop_empty_blocks(values, prefix):
