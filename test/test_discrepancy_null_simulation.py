@@ -13,6 +13,9 @@ from gms_flex_control.discrepancy.motion import make_motion, motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.samples import make_samples
+from gms_flex_control.dynamics import chain
+from gms_flex_control.identification.assumed_robot import rigid_joints
+from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import EffectSpec, FrictionParams, StribeckParams
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -51,6 +54,26 @@ def test_a_rigid_axis_is_held_on_its_motion_wherever_its_inertia_stands(inertia)
         np.zeros(len(time)), True, 'sine'))
     again = null_simulation(motion, plant.constants_of(robot), np.random.default_rng(0))
     assert np.abs(again.samples.readings - motion.samples.readings).max() < 1e-3
+
+
+def test_links_that_carry_a_heavy_one_are_held_at_100_hz():
+    """What holds a joint while the other gives way is a fiftieth of its inertia at 0."""
+    arm = ArmParams(kind='planar', mass=[0.2, 10.0], length=[0.5, 0.0], com=[0.25, 0.5],
+                    inertia=[0.01, 0.01], motor_inertia=[0.02, 0.02], stiffness=[np.inf] * 2,
+                    damping=[0.0, 0.0], gravity=0.0)
+    robot = replace(rigid_joints(('shoulder', 'elbow')), arm=arm)
+    time = np.arange(1000) * 0.01
+    turns, size = 2.0 * np.pi * np.array([0.3, 0.5]), np.array([0.4, 0.3])
+    q, dq, ddq = (size * turns ** k * np.sin(np.outer(time, turns) + 0.5 * np.pi * k)
+                  for k in range(3))
+    mass = chain.mass_matrices(q, arm)
+    ratio = np.einsum('kjj,kjj->kj', mass, np.linalg.inv(mass))
+    assert ratio.max() > 50.0
+    command = chain.inverse_dynamics(q, dq, ddq, arm) + np.tanh(dq / 0.01)
+    motion = make_motion(make_samples(robot.joints, time, 0.01, np.stack([q, q], axis=1), command,
+                                      np.zeros(len(time)), True, 'coupled'))
+    again = null_simulation(motion, plant.constants_of(robot), np.random.default_rng(0))
+    assert np.abs(again.samples.readings - motion.samples.readings).max() < 0.05
 
 
 @pytest.mark.parametrize(('seed', 'gravity'), [(7, True), (10, False)])
