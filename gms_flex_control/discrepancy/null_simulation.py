@@ -50,8 +50,9 @@ def simulate_along(states, command, supply, time, period, substeps, gains, const
     Fill torques and angles (T, n) of a run along ``motion`` (T, 6, n).
 
     ``held`` are those of the actuators, ``pushed`` those that links are held with; of ``gains``
-    (4, n) the first two hold motors, the others links: accelerations per angle and per rate. The
-    inertia of all links at that pose makes torques of them: light links would swing otherwise.
+    (4, n) the first two hold motors, the others links: per angle and per rate. Those of rigid
+    joints are accelerations, of which the inertia of all links at that pose makes torques: a light
+    link would swing otherwise, since others give way.
     """
     samples, n = command.shape
     flexible = constants.chain.flexible
@@ -64,19 +65,19 @@ def simulate_along(states, command, supply, time, period, substeps, gains, const
         for j in range(n):
             link[k, j] = work.signals[j, sig.SENSED_LINK] - ahead * state.dq_link[j]
             motor[k, j] = work.signals[j, sig.SENSED_MOTOR] - ahead * state.dq_motor[j]
-            of_link = 2 if flexible[j] else 0
-            wanted[j] = (gains[of_link, j] * (states[k, 0, j] - state.q_link[j])
-                         + gains[of_link + 1, j] * (states[k, 1, j] - state.dq_link[j]))
+            rows = 3 if flexible[j] else 0
+            wanted[j] = (gains[0, j] * (states[k, rows, j] - state.q_motor[j])
+                         + gains[1, j] * (states[k, rows + 1, j] - state.dq_motor[j]))
+            held[k, j] = command[k, j]
+            if flexible[j]:
+                held[k, j] += wanted[j]
+                wanted[j] = 0.0
+            pushed[k, j] = (gains[2, j] * (states[k, 0, j] - state.q_link[j])
+                            + gains[3, j] * (states[k, 1, j] - state.dq_link[j]))
         chain.rigid_body(state.q_link, state.dq_link, wanted, constants.chain, work.chain, bias,
                          needed)
         for j in range(n):
-            held[k, j], pushed[k, j] = command[k, j], 0.0
-            if flexible[j]:
-                held[k, j] += constants.chain.motor_inertia[j] * (
-                    gains[0, j] * (states[k, 3, j] - state.q_motor[j])
-                    + gains[1, j] * (states[k, 4, j] - state.dq_motor[j]))
-                pushed[k, j] = needed[j]
-            else:
+            if not flexible[j]:
                 held[k, j] += needed[j]
             work.outside[j] = pushed[k, j]
         plant.advance(state, held[k], time[k], period, substeps, constants, work)
@@ -105,12 +106,14 @@ def null_readings(motion, constants) -> Callable:
 
     """
     constants, samples = motion.carrying(constants), motion.samples
-    n = len(samples.joints)
-    of_motors, of_links = np.full(n, BANDWIDTH), np.full(n, _OF_LINKS)
+    links, n = constants.chain, len(samples.joints)
+    inertia = np.where(links.flexible, links.motor_inertia, 1.0)
+    own, bandwidth = chain.own_inertia(links)[0] * links.flexible, np.full(n, BANDWIDTH)
     for link in samples.unseen:
-        of_links[link.joint] = 0.0
-        of_motors[link.joint] = np.clip(_OF_RATE / samples.period, BANDWIDTH, _ALONE)
-    gains = np.stack([of_motors ** 2, _DAMPED * of_motors, of_links ** 2, _DAMPED * of_links])
+        own[link.joint] = 0.0
+        bandwidth[link.joint] = np.clip(_OF_RATE / samples.period, BANDWIDTH, _ALONE)
+    gains = np.stack([inertia * bandwidth ** 2, _DAMPED * inertia * bandwidth,
+                      own * _OF_LINKS ** 2, _DAMPED * own * _OF_LINKS])
     state, first = fresh_state(constants), samples.states[0]
     state.q_link[:], state.dq_link[:], state.q_motor[:], state.dq_motor[:] = first[[0, 1, 3, 4]]
     held, pushed, link, motor = np.empty((4, *samples.command.shape))
