@@ -17,7 +17,6 @@ from gms_flex_control.discrepancy.fitting import (
     prior_of,
     without,
 )
-from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.result import Finding, Residual, Value
 from gms_flex_control.discrepancy.thresholds import (
     BETTER,
@@ -124,7 +123,7 @@ def _lessened(likelihood, found, one, held_out):
     if not matters and held_out.other:
         absent, _ = without(likelihood, state.model, state.columns, one.index)
         if np.all(held_out.action(state.model, absent) < PRACTICAL * likelihood.coulomb):
-            return _lessened(likelihood, found, one, HeldOut(likelihood))
+            return _lessened(likelihood, found, one, held_out.of_blocks)
     return before, after, matters
 
 

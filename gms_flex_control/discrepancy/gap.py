@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The gap between model and measurement on data held out: residual torque and free runs."""
 
+from functools import cached_property
 from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
@@ -58,6 +59,11 @@ class HeldOut:
 
     def __init__(self, likelihood, other=None):
         self._likelihood, self.other, self._errors = likelihood, other, {}
+
+    @cached_property
+    def of_blocks(self) -> 'HeldOut':
+        """Return blocks left out of the fitted recordings, whatever other ones there are."""
+        return HeldOut(self._likelihood) if self.other else self
 
     @property
     def _measured(self):

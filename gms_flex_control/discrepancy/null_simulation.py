@@ -57,6 +57,9 @@ def simulate_along(states, command, supply, time, period, substeps, gains, const
     samples, n = command.shape
     flexible = constants.chain.flexible
     wanted, bias, needed = np.empty(n), np.empty(n), np.empty(n)
+    any_rigid = False
+    for j in range(n):
+        any_rigid = any_rigid or not flexible[j]
     ahead = 0.5 * period / substeps  # semi-implicit angles run half a step ahead of their rates
     for k in range(samples):
         for j in range(n):
@@ -74,12 +77,13 @@ def simulate_along(states, command, supply, time, period, substeps, gains, const
                 wanted[j] = 0.0
             pushed[k, j] = (gains[2, j] * (states[k, 0, j] - state.q_link[j])
                             + gains[3, j] * (states[k, 1, j] - state.dq_link[j]))
-        chain.rigid_body(state.q_link, state.dq_link, wanted, constants.chain, work.chain, bias,
-                         needed)
-        for j in range(n):
-            if not flexible[j]:
-                held[k, j] += needed[j]
             work.outside[j] = pushed[k, j]
+        if any_rigid:
+            chain.rigid_body(state.q_link, state.dq_link, wanted, constants.chain, work.chain,
+                             bias, needed)
+            for j in range(n):
+                if not flexible[j]:
+                    held[k, j] += needed[j]
         plant.advance(state, held[k], time[k], period, substeps, constants, work)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import reduce
 import re
 from typing import NamedTuple
+import warnings
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.key import (
@@ -28,7 +29,9 @@ _OF_LINEAR = ((r'\bkg m\^2', 'kg'), (r'\b([mk]?N) m\b', r'\1'), (r'\bmrad\b', 'm
 _OF_CURRENT = ((r'\bkg m\^2', 'A s^2/rad'), (r'\bkg\b', 'A s^2/m'), (r'\bmN( m)?\b', 'mA'),
                (r'\bkN( m)?\b', 'kA'), (r'\bN( m)?\b', 'A'))
 _POINT = 1e-9     # of a mass, and of an inertia, that is next to none [kg], [kg m^2]
-ROUNDING = 1e-3  # of a principal moment of inertia: files round their numbers
+_ROUNDING = 1e-3  # of a principal moment of inertia: files round their numbers
+_CAD = 0.1        # of it: files of makers violate the triangle inequality by so much
+_NO_BODY = 'no body has one above the sum of the other two'
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -212,14 +215,34 @@ def require_body(name: str, mass: float, inertia: np.ndarray) -> None:
     if not mass > 0.0:
         raise ParameterError(f'{name} has mass {mass:g} kg: give a mass above 0')
     moments = np.linalg.eigvalsh(inertia)
-    shown = ', '.join(f'{moment:.4g}' for moment in moments)
     if not moments[0] > 0.0:
-        raise ParameterError(f'{name} has principal moments of inertia {shown} kg m^2: each must '
-                             'be above 0; were ixx to izz swapped or given in other units?')
-    if moments[2] > (1.0 + ROUNDING) * (moments[0] + moments[1]):
-        raise ParameterError(f'{name} has principal moments of inertia {shown} kg m^2: no body '
-                             'has one above the sum of the other two; are they about the centre '
-                             'of mass, as URDF wants them?')
+        raise ParameterError(f'{_with_moments(name, moments)}: each must be above 0; were ixx to '
+                             'izz swapped or given in other units?')
+    if moments[2] > (1.0 + _ROUNDING) * (moments[0] + moments[1]):
+        raise ParameterError(f'{_with_moments(name, moments)}: {_NO_BODY}; are they about the '
+                             'centre of mass, as URDF wants them?')
+
+
+def nearest_inertia(name: str, inertia: np.ndarray, least: float) -> np.ndarray:
+    """
+    Return the nearest inertia (3, 3) [kg m^2] that a body has; warn where this is not rounding.
+
+    Many files give points and rods none about some axis: no principal second moment is taken below
+    ``least`` then. What is farther off stays as it is, for `require_body`.
+    """
+    moments = np.linalg.eigvalsh(inertia)
+    above, size = moments[2] - moments[0] - moments[1], np.abs(moments).max()
+    if moments[0] > 0.0 >= above or max(above, -moments[0]) > _CAD * size:
+        return inertia
+    if above > _ROUNDING * size:
+        warnings.warn(f'{_with_moments(name, moments)}, and {_NO_BODY}: the nearest that a body '
+                      'has are taken', stacklevel=2)
+    return inertia_of(0.5 * np.trace(inertia) * np.eye(3) - inertia, least)
+
+
+def _with_moments(name, moments):
+    shown = ', '.join(f'{moment:.4g}' for moment in moments)
+    return f'{name} has principal moments of inertia {shown} kg m^2'
 
 
 def inertia_of(second: np.ndarray, least: float) -> np.ndarray:

@@ -12,18 +12,16 @@ from functools import lru_cache
 import math
 from pathlib import Path
 from typing import NamedTuple
-import warnings
 import xml.etree.ElementTree as ElementTree
 
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.params.arm import (
     Body,
     Frames,
-    inertia_of,
     joined,
     moved,
+    nearest_inertia,
     require_body,
-    ROUNDING,
 )
 import numpy as np
 
@@ -34,7 +32,6 @@ _MOST_ANGLE = 50.0    # a limit of a revolute joint beyond this is in degrees [r
 _MOST_LENGTH = 20.0   # of an arm: beyond it lengths are in millimetres, inertias likewise [m]
 _XACRO = '{http://www.ros.org/wiki/xacro}'
 _POINT = 1e-6          # second moment of a body that has none in a direction, per mass [m^2]
-_CAD = 0.1             # of a principal moment of inertia: files of makers violate by so much
 _SHAPES = ('visual', 'collision')
 
 
@@ -283,30 +280,12 @@ class _Tree:
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if mass == 0.0 and not tensor.any():
             return None
-        tensor = _of_a_body(where, mass, tensor)
+        tensor = nearest_inertia(where, tensor, _POINT * mass)
         require_body(where, mass, tensor)
         if np.trace(tensor) > mass * _MOST_LENGTH ** 2:
             raise ConfigError(f'{where} has an inertia of {tensor.max():g} kg m^2 at {mass:g} kg, '
                               'as no link of an arm: it looks like kg mm^2; URDF wants kg m^2')
         return Body(mass, place, rotation @ tensor @ rotation.T)
-
-
-def _of_a_body(where, mass, tensor):
-    """
-    Return the nearest inertia that a body has; warn where this is more than rounding.
-
-    Many files give points and rods none about some axis. What is farther off stays as it is.
-    """
-    moments = np.linalg.eigvalsh(tensor)
-    above, size = moments[2] - moments[0] - moments[1], np.abs(moments).max()
-    if moments[0] > 0.0 >= above or max(above, -moments[0]) > _CAD * size:
-        return tensor
-    if above > ROUNDING * size:
-        shown = ', '.join(f'{moment:.4g}' for moment in moments)
-        warnings.warn(f'{where} has principal moments of inertia {shown} kg m^2, and no body has '
-                      'one above the sum of the other two: the nearest that a body has are taken',
-                      stacklevel=2)
-    return inertia_of(0.5 * np.trace(tensor) * np.eye(3) - tensor, _POINT * mass)
 
 
 def _named(element, what):
