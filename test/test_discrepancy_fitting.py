@@ -64,6 +64,20 @@ def test_a_payload_and_the_inertias_it_resembles_do_not_pull_against_each_other(
     assert ends[1].cost == pytest.approx(ends[0].cost, abs=2.0)
 
 
+@pytest.mark.parametrize('factor', [0.5, 3.0])
+def test_friction_by_load_turns_over_the_reach_that_is_there(factor):
+    """A wrong reach leaves more than other friction does, which is then named beside it."""
+    case = make_case('single', 1, population='encoders_fine', effect='load_friction',
+                     duration=20.0)
+    likelihood, (true,) = likelihood_of(case), case.truth.effects
+    model = likelihood.fitted(with_effect(case.nominal, replace(
+        true, values=(0.8 * true.values[0], factor * true.values[1]))),
+        np.zeros(len(likelihood.sd)))
+    for _ in range(2):
+        model, _ = refitted(likelihood, model, likelihood.columns(model.robot, model.x))
+    assert model.robot.effects[0].values == pytest.approx(true.values, rel=0.2)
+
+
 def test_friction_that_pushes_is_not_looked_for(robot):
     """All viscous friction may be gone; what is said to be more is no slope but something else."""
     viscous = robot.friction.forward.viscous[0]

@@ -66,7 +66,7 @@ class LoadFriction(Term):
         Parameter('ratio', '1', 'friction per torque carried', lower=0.0, upper=1.0,
                   typical=0.1),
         Parameter('reach', 'rad', 'displacement over which it changes its direction', lower=0.0,
-                  fixed=True))
+                  typical=lambda s: s.count + _FINE * s.travel.span))
 
     @staticmethod
     def guesses(scales) -> list:
