@@ -52,11 +52,11 @@ def axis(*, rigid=False, yields=tuple(YIELDS)):
 
 @cache
 def experiment(seed=1, *, rigid=False, yields=tuple(YIELDS)):
-    """Return (Recording, phases) of the experiment at 500 Hz, a minute and a half long."""
+    """Return (Recording, phases) of the experiment at 250 Hz, a minute and a half long."""
     robot = axis(rigid=rigid, yields=yields)
     plan = plan_identification({f'identification.{name}': value for name, value in PLAN.items()},
                                robot, GAINS)
-    return simulate_identification(plan, robot, GAINS, seed, rate=500)
+    return simulate_identification(plan, robot, GAINS, seed, rate=250)
 
 
 def without_phases(take):

@@ -11,6 +11,7 @@ from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.schema.files import load_controller, load_robot
 from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory import builders
+import numpy as np
 from processes import environment_of
 import pytest
 
@@ -42,13 +43,13 @@ def write_parameters(path, text):
 
 
 @cache
-def compile_the_loop():
+def compile_the_loop(robot_file=FILES[0], gains_file=FILES[1]):
     """Compile in this process what the nodes run, so that no test waits for that in vain."""
-    robot = load_robot(FILES[0])
+    robot = load_robot(robot_file)
     plant = SteppedPlant(robot, period=2e-3, substeps=20)
     plant.measure()
-    plant.advance(SteppedController(load_controller(FILES[1], robot), robot).tick(
-        builders.sinusoid([1.0, 1.0], 6.0).sample(0.0), 2e-3))
+    plant.advance(SteppedController(load_controller(gains_file, robot), robot).tick(
+        builders.sinusoid(np.ones(robot.n_joints), 6.0).sample(0.0), 2e-3))
 
 
 class Lab(bench.Bench):

@@ -18,7 +18,7 @@ from gms_flex_control.schema.files import load_robot
 from identified_axis import part as part_of
 import pytest
 
-DURATION = 20.0
+DURATION = 12.0
 
 
 def refused_number(text):
@@ -33,7 +33,7 @@ def read_json(text):
 
 @pytest.fixture(scope='module')
 def case():
-    """Return a robot with backlash nobody knows of, driven for 20 s."""
+    """Return a robot with backlash nobody knows of, driven for 12 s."""
     return make_case('single', 3, effect='backlash', plant='soft', duration=DURATION)
 
 

@@ -17,7 +17,7 @@ from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
 
-SHORT = 20.0  # [s]
+SHORT = 14.0  # [s]
 
 
 def test_of_drives_without_noise_next_to_none_is_told():

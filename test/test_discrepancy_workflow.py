@@ -28,7 +28,7 @@ SHORT = 12.0  # of a recording [s]
 # effect explains, of two effects
 CASES = {
     'an unknown motor torque': ('outside', 5, {'effect': 'periodic_motor_torque'}, UNEXPLAINED),
-    'two effects': ('double', 2, {'duration': 24.0}, FOUND)}
+    'two effects': ('double', 2, {'duration': 16.0}, FOUND)}
 # known parameters are 1 to 3 % off: a torque constant or inertia is known within this
 DOUBT = 0.045
 

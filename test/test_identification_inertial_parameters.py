@@ -32,7 +32,7 @@ pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
 def hidden():
     """Return the true arm, the robot as believed and a recording."""
     robot, arm, urdf = hidden_arm()
-    return arm, robot, moved(urdf, robot.arm, 16.0)
+    return arm, robot, moved(urdf, robot.arm, 10.0)
 
 
 @pytest.fixture(scope='module')

@@ -15,6 +15,7 @@ from bridge_lab import (
     assert_fault_within,
     bridge_lab,
     enable,
+    fault,
     fault_of,
     move,
     report,
@@ -198,14 +199,14 @@ def test_the_last_word_is_zero(lab):
 
 
 def test_a_frozen_bridge_leaves_zero_and_stops_when_it_is_back(lab):
-    move(lab, lambda: any(lab.driven.last))
-    begin = time.monotonic()
-    lab.plant.process.send_signal(signal.SIGSTOP)
-    try:
-        assert time_to_zero(lab, begin, lab.driven) < GUARDED
-    finally:
-        lab.plant.process.send_signal(signal.SIGCONT)
-    report(lab, 'FAULT: the bridge stood still for ')
+    def freeze():
+        begin = time.monotonic()
+        lab.plant.process.send_signal(signal.SIGSTOP)
+        try:
+            assert time_to_zero(lab, begin, lab.driven) < GUARDED
+        finally:
+            lab.plant.process.send_signal(signal.SIGCONT)
+    fault(lab, freeze, 'FAULT: the bridge stood still for ')
 
 
 def test_a_killed_bridge_leaves_zero(lab):

@@ -3,8 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Plant or bridge, controller and trajectory in one process: as three, and to the last bit."""
 
-from pathlib import Path
-
 from bridge_lab import bridge_lab, move
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import executable, TOPICS
@@ -15,7 +13,6 @@ from node_harness import (
     CONFIG,
     FILES,
     Float64MultiArray,
-    JointState,
     Lab,
     REFERENCE,
     stamp_of,
@@ -32,7 +29,6 @@ from test_nodes_loop import (  # noqa: F401  what no lockstep shows holds here a
     test_a_gain_changes_and_a_whole_number_is_taken_for_a_double,
     test_controller_publishes_error_estimate_and_blocks,
 )
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 # other processes of the machine can delay real nodes beyond any bound
 pytestmark = pytest.mark.flaky(reruns=2)
@@ -104,25 +100,6 @@ def test_another_controller_is_noticed(loop):
         return '2 controllers command at once' in loop.plant.printed()
     loop.until(told)
     loop.until(lambda: any(loop.states[-1].effort[2:]))  # one is left: torque flows again
-
-
-def test_a_day_long_motion_beyond_the_limits_is_refused_while_the_loop_goes_on(tmp_path):
-    """It is checked where it may bend, without the lock that each sample of the loop takes."""
-    arm = Path(__file__).parents[1] / 'examples' / 'industrial_arm'
-    names = [f'joint{j}' for j in range(1, 7)]
-    points = [JointTrajectoryPoint(positions=[0.1 * (k % 2)] * 6) for k in range(1, 1001)]
-    for k, point in enumerate(points):
-        point.time_from_start.sec = 86 * (k + 1)
-    points[-1].positions[0] = 50.0
-    with Lab(tmp_path) as lab:
-        states = lab.listen(JointState, STATES)
-        goals = lab.speak(JointTrajectory, '/trajectory/joint_trajectory')
-        loop = lab.start('loop_node', files=[arm / 'robot.yaml', arm / 'controller.yaml'])
-        lab.until(lambda: states and goals.get_subscription_count())
-        goal = JointTrajectory(joint_names=names, points=points)
-        lab.until(lambda: goals.publish(goal) or (
-            'joint trajectory refused: joint1 goes to 50' in loop.printed()))
-        lab.more(states, 10)
 
 
 def report_after(lab, figure):

@@ -117,5 +117,4 @@ def test_a_urdf_comes_from_the_topic_that_the_robot_file_names_or_the_node_says_
         publisher.publish(String(data=urdf.read_text()))
         node = lab.start('controller_node', files=files)
         lab.until(lambda: 'the URDF of /robot_description is taken' in node.printed())
-        lab.until(lambda: 'compensation ' in node.printed(), 3 * PATIENCE)  # compiles
-        assert node.signal(TERM) == 0
+        assert node.signal(TERM) == 0  # before it compiles; the bench drives such arms

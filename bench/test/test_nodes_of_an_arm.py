@@ -1,16 +1,18 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Nodes drive the arm of a URDF in lockstep as one process does."""
+"""Nodes drive the arm of a URDF: in lockstep as one process does, and not beyond its limits."""
 
 from pathlib import Path
 
-from node_harness import write_parameters
+from node_harness import compile_the_loop, JointState, Lab, STATES, write_parameters
 import numpy as np
 import pytest
 from test_nodes_lockstep import assert_equal, both
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 EXAMPLES = Path(__file__).parents[2] / 'examples' / 'industrial_arm'
+ROBOT, GAINS = EXAMPLES / 'robot.yaml', EXAMPLES / 'controller.yaml'
 pytestmark = pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
 
 
@@ -23,3 +25,22 @@ def test_an_arm_of_a_urdf_runs(tmp_path, monkeypatch):
     assert len(driven.time) == 800
     assert np.abs(driven.tau_motor[:, 1]).max() > 10.0  # gravity
     assert_equal(driven, simulated)
+
+
+def test_a_day_long_motion_beyond_the_limits_is_refused_while_the_loop_goes_on(tmp_path):
+    """It is checked where it may bend, without the lock that each sample of the loop takes."""
+    compile_the_loop(ROBOT, GAINS)  # longer than one waits for a node
+    points = [JointTrajectoryPoint(positions=[0.1 * (k % 2)] * 6) for k in range(1, 1001)]
+    for k, point in enumerate(points):
+        point.time_from_start.sec = 86 * (k + 1)
+    points[-1].positions[0] = 50.0
+    goal = JointTrajectory(joint_names=[f'joint{j}' for j in range(1, 7)], points=points)
+    with Lab(tmp_path) as lab:
+        states = lab.listen(JointState, STATES)
+        goals = lab.speak(JointTrajectory, '/trajectory/joint_trajectory')
+        loop = lab.start('loop_node', files=[ROBOT, GAINS])
+        lab.until(lambda: states and goals.get_subscription_count())
+        lab.more(states, 100)  # the node knows the publisher as well by then
+        goals.publish(goal)
+        lab.until(lambda: 'joint trajectory refused: joint1 goes to 50' in loop.printed())
+        lab.more(states, 10)

@@ -21,11 +21,15 @@ from gms_flex_control.data.writer import write_recording
 from gms_flex_control.discrepancy.result import FOUND
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.identification.assumed_robot import rigid_joints
+from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.params.robot import StribeckParams
 import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / 'shared' / 'data'
+ALL = Options(estimate='all', blocks=(1, 3))
+real = pytest.mark.skipif(not DATA.is_dir(), reason='the recordings are not beside the project')
 PERIOD = 2e-3
 BAND = 40.0
 INERTIA, COULOMB, VISCOUS, OFFSET = 2.0, 3.0, 1.5, -0.7
@@ -239,3 +243,39 @@ def test_absent_recordings_are_skipped_with_a_reason(tmp_path, monkeypatch, caps
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     assert main(['real-machines', 'emps']) == 1
     assert f'skipped, {tmp_path}/emps/identification.csv is absent' in capsys.readouterr().out
+
+
+def imported(folder, pattern, mapping):
+    """Return real recordings as (Recording, ())."""
+    mapping = ROOT / 'config' / mapping
+    return [(import_csv(path, mapping).recording, ())
+            for path in sorted((DATA / folder).glob(pattern))]
+
+
+def assert_no_worse(found):
+    """Raise if a joint predicts held-out torque or free motion worse than Coulomb + viscous."""
+    for result in found.joints:
+        errors = result.held_out
+        assert errors.relative < 1.06 * errors.coulomb_viscous, result.joint
+        assert errors.free_run_rms < 1.06 * errors.free_run_coulomb_viscous, result.joint
+
+
+@real
+def test_an_industrial_robot_is_predicted_no_worse_than_by_coulomb_and_viscous():
+    take, other = ([(recording.of_joints(['axis1']), ())] for name in 'AB'
+                   for recording, _ in imported('kr300', f'rec_{name}.csv', 'import_kr300.yaml'))
+    found = identify(take, rigid_joints(['axis1']), holdouts=other, options=ALL)
+    assert_no_worse(found)
+    assert any(estimate.name == 'arm.axis1.stiffness' and 'not identifiable' in estimate.flags
+               for estimate in found.joints[0].estimates)
+
+
+@real
+def test_a_servo_with_a_pendulum_is_predicted_no_worse_than_by_coulomb_and_viscous():
+    takes, others = (imported('bam_xl330', f'*kp{gain}.csv', 'import_bam_xl330.yaml')
+                     for gain in (100, 400))
+    found = identify(takes, rigid_joints(takes[0][0].joints), holdouts=others, options=ALL)
+    assert_no_worse(found)
+    gravity = next(estimate for estimate in found.joints[0].estimates
+                   if estimate.name == 'arm.joint1.gravity_torque')
+    assert 0.3 < gravity.value < 0.7  # 0.49 kg at 0.1 m and the arm that carries it
