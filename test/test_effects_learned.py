@@ -150,7 +150,7 @@ def bump():
     """Return a case with a hidden bump, what is found without a name, and what is learned."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(outsiders, 'draw_values', lambda rng, name, k: (HEIGHT, PLACE, WIDTH))
-        case = make_case('outside', 0, effect='local_bump', plant='stiff', duration=20.0)
+        case = make_case('outside', 0, effect='local_bump', plant='stiff', duration=30.0)
     found = find_discrepancy([case.recording], case.nominal, Options(most=1),
                              holdout=[case.held_out])
     return case, found, learn(found, holdout=[case.held_out])
