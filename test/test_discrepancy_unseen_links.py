@@ -5,10 +5,8 @@
 
 from dataclasses import replace
 
-from bench.__main__ import main
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import likelihood_of, retuned_of
-from gms_flex_control.data.reader import read_recording
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import (
@@ -22,7 +20,6 @@ from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.schema.files import load_robot
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -111,18 +108,3 @@ def test_an_effect_is_named_by_the_motors_alone_and_it_is_said_what_is_lost():
     true, first = case.truth.effects[0], result.findings[0]
     assert (first.effect, first.joint) == (true.name, true.joint)
     assert first.values[0].value == pytest.approx(true.values[0], rel=0.2)
-
-
-def test_a_bag_that_names_the_motors_alone_gives_links_without_angles(tmp_path, capsys):
-    """As `gms_flex hide` writes it of a robot whose links have no encoders."""
-    args = ['--kind', 'clean', '--seeds', '3', '--duration', '4', '--population']
-    assert main(['hide', '--out', str(tmp_path), *args, 'motors_only']) == 0
-    own = make_case('clean', 3, duration=4.0).recording
-    folder, = tmp_path.iterdir()
-    robot = load_robot(folder / 'robot.yaml')
-    read = read_recording(folder / 'bag', joints=own.joints, motors=robot.motors)
-    assert read.joints == own.joints and np.isnan(read.q_link).all()
-    np.testing.assert_array_equal(read.q_motor, own.q_motor)
-    np.testing.assert_array_equal(read.command, own.command)
-    assert main(['hide', '--out', str(tmp_path), *args, 'none']) == 2
-    assert "population 'none' is unknown" in capsys.readouterr().err

@@ -128,3 +128,18 @@ def test_hide_writes_what_a_user_has_and_the_truth(tmp_path, capsys):
     assert main(args) == 0
     assert 'kept as it is' in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.iterdir()) == ['double_2']
+
+
+def test_a_bag_that_names_the_motors_alone_gives_links_without_angles(tmp_path, capsys):
+    """As `gms_flex hide` writes it of a robot whose links have no encoders."""
+    args = ['--kind', 'clean', '--seeds', '3', '--duration', '4', '--population']
+    assert main(['hide', '--out', str(tmp_path), *args, 'motors_only']) == 0
+    own = cases.make_case('clean', 3, duration=4.0).recording
+    folder, = tmp_path.iterdir()
+    robot = load_robot(folder / 'robot.yaml')
+    read = read_recording(folder / 'bag', joints=own.joints, motors=robot.motors)
+    assert read.joints == own.joints and np.isnan(read.q_link).all()
+    np.testing.assert_array_equal(read.q_motor, own.q_motor)
+    np.testing.assert_array_equal(read.command, own.command)
+    assert main(['hide', '--out', str(tmp_path), *args, 'none']) == 2
+    assert "population 'none' is unknown" in capsys.readouterr().err

@@ -23,22 +23,12 @@ class BagWriter:
     """
     Write one rosbag2 folder with mcap storage; use it in a ``with`` statement.
 
-    Parameters
-    ----------
-    path : str or Path
-        The folder to be made; BagError if anything is there already or the disk refuses.
-    topics : dict of str, optional
-        Type of each topic; more can follow by :meth:`add_topic`.
-    atomic : bool, optional
-        Write under another name and take ``path`` only when the block succeeds; else the bag
-        is there from the start and keeps what was written whatever happens.
-    flush_period : float, optional
-        Longest wall time between writes that leave messages in memory [s].
-    chunk_size : int, optional
-        A chunk is closed above this many bytes; a flipped bit costs at most one chunk.
-    custom : dict of str, optional
-        Remarks kept in the metadata.
-
+    ``path`` is the folder to be made, ``topics`` the type of each by name; more can follow by
+    `add_topic`. An ``atomic`` bag is written under another name and takes ``path`` when the block
+    succeeds; any other is there from the start and keeps what was written whatever happens. At
+    most ``flush_period`` of wall time [s] passes between writes that leave messages in memory. A
+    chunk is closed above ``chunk_size`` bytes: a flipped bit costs one at most. ``custom`` (dict
+    of str) are remarks for the metadata. BagError if anything is there or the disk refuses.
     """
 
     def __init__(self, path, topics=None, *, atomic=False, flush_period=0.1,

@@ -13,7 +13,7 @@ from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 import pytest
 
-CONFIG = Path(__file__).parents[1] / 'config'
+CONFIG = Path(__file__).parents[2] / 'config'
 DEMO = CONFIG.parent / 'bench' / 'demos' / 'identification.yaml'
 ROBOT = load_robot(CONFIG / 'robot.yaml')
 GAINS = load_controller(CONFIG / 'controller.yaml', ROBOT)
