@@ -101,7 +101,7 @@ def test_torque_noise_is_measured_though_it_moves_the_links_computed():
 
 def test_an_effect_is_named_by_the_motors_alone_and_it_is_said_what_is_lost():
     case = make_case('single', 8, effect='motor_coulomb', duration=10.0)
-    result = find_discrepancy([blind(case.recording)], case.nominal, Options(most=2))
+    result = find_discrepancy([blind(case.recording)], case.nominal, Options(most=1))
     assert result.verdict == FOUND, result.words
     assert 'No link encoder of joint1, joint2 was recorded' in result.words
     assert 'encoder_skew' in result.words.split('Not identifiable there:')[1]
