@@ -6,10 +6,17 @@
 from dataclasses import replace
 
 from gms_flex_control.data.recording import Phase, Recording
-from gms_flex_control.errors import SimulationError
-from gms_flex_control.experiment.identification_plan import Adaptation, LEAVING
+from gms_flex_control.errors import ConfigError, ParameterError, SimulationError
+from gms_flex_control.experiment.identification_plan import (
+    Adaptation,
+    IdentificationPlan,
+    LEAVING,
+    plan_identification,
+)
 from gms_flex_control.experiment.identification_steps import BRAKING_TIME
 from gms_flex_control.experiment.simulated import recording_of
+from gms_flex_control.schema.files import located, read_values
+from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.simulation.loop import Loop
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -18,6 +25,23 @@ NANOSECONDS = 1_000_000_000
 IDLE = 'idle'
 _INTEGRATION_STEP = 1e-4  # [s]
 _START = 1e-3  # links begin within this, so that encoders turn over elsewhere each time [rad]
+
+
+def read_identification_plan(files, robot, gains, *,
+                             overrides: dict | None = None) -> IdentificationPlan:
+    """
+    Plan the experiment from parameter files, later ones winning; see `plan_identification`.
+
+    Such as ``config/identification.yaml``; keys of other nodes may stand in the same files.
+    ``overrides`` are single parameters. ConfigError begins with file and line where it has them.
+    """
+    values, places = read_values(files)
+    values |= overrides or {}
+    try:
+        known_keys(values, robot.joints)
+        return plan_identification(values, robot, gains)
+    except (ConfigError, ParameterError) as error:
+        raise located(error, files, places) from error
 
 
 def simulate_identification(plan, robot, gains, seed, *, rate=1000, torque_noise=1e-3,

@@ -10,7 +10,7 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.identification_simulated import simulate_identification
+from bench.identification_simulated import read_identification_plan, simulate_identification
 from bench.journal import digest_of, fingerprint, run_kept
 from bench.known import known_values, presliding_difference
 from gms_flex_control.answer import align
@@ -25,7 +25,6 @@ from gms_flex_control.cli.options import (
     Verb,
     WORKERS,
 )
-from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import controller_file, robot_file, share_path, write_text
 from gms_flex_control.identification.identify import identify

@@ -7,8 +7,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from bench.identification_simulated import simulate_identification
-from gms_flex_control.experiment.identification_plan import read_identification_plan
+from bench.identification_simulated import read_identification_plan, simulate_identification
 from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np

@@ -6,12 +6,12 @@
 from dataclasses import replace
 from pathlib import Path
 
+from bench.identification_simulated import read_identification_plan
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.identification_plan import (
     Adaptation,
     ExperimentError,
     plan_identification,
-    read_identification_plan,
     require_space,
 )
 from gms_flex_control.schema.files import load_controller, load_robot, read_values

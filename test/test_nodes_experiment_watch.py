@@ -5,7 +5,7 @@
 
 from pathlib import Path
 
-from gms_flex_control.experiment.identification_plan import read_identification_plan
+from bench.identification_simulated import read_identification_plan
 from gms_flex_control.schema.files import load_controller, load_robot
 from node_harness import joint_state
 import pytest

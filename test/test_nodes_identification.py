@@ -5,8 +5,8 @@
 
 import warnings
 
+from bench.identification_simulated import read_identification_plan
 from gms_flex_control.data.reader import read_experiment
-from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.schema.files import load_controller, load_robot
 from node_harness import (
     COMMANDS,

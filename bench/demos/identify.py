@@ -11,6 +11,7 @@ import re
 import time
 from typing import NamedTuple
 
+from bench.identification_simulated import read_identification_plan
 from bench.known import beside_truth
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.cli.demo import files_of, plan_of, RATE, step_loops
@@ -28,7 +29,6 @@ from gms_flex_control.experiment.driven import (
     SLOWEST_STEPS,
     START_BOUND,
 )
-from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.simulated import scaled_friction, simulate
 from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.identification.identify import identify

@@ -11,7 +11,7 @@ import tempfile
 from time import perf_counter
 from typing import NamedTuple
 
-from bench.identification_simulated import simulate_identification
+from bench.identification_simulated import read_identification_plan, simulate_identification
 from bench.speed.numpy_identification import PlainObjective, search
 from bench.speed.timing import Measurement
 from gms_flex_control.data.writer import write_recording
@@ -19,7 +19,6 @@ from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import executable
 from gms_flex_control.experiment.identification_plan import (
     plan_identification,
-    read_identification_plan,
 )
 from gms_flex_control.file_io import share_path
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY

@@ -6,8 +6,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from bench.identification_simulated import simulate_identification
-from gms_flex_control.experiment.identification_plan import read_identification_plan
+from bench.identification_simulated import read_identification_plan, simulate_identification
 from gms_flex_control.identification.segments import drive_sides, half_count, segments_of
 from gms_flex_control.params.robot import EncoderParams
 import numpy as np

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 import shutil
 
-from gms_flex_control.errors import ConfigError, GmsFlexError, ParameterError
+from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.experiment.identification_steps import Limits, Planner, Step
 from gms_flex_control.schema.build import complete
-from gms_flex_control.schema.files import located, read_values
-from gms_flex_control.schema.keys import EXPERIMENTS, identification_keys, known_keys
+from gms_flex_control.schema.keys import EXPERIMENTS, identification_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
@@ -116,23 +115,6 @@ def plan_identification(values: dict, robot, gains) -> IdentificationPlan:
         torque=limits.torque, static=limits.weakest_static,
         rest_time=flat['identification.rest_time'],
         relax_time=flat['identification.relax_time'])
-
-
-def read_identification_plan(files, robot, gains, *,
-                             overrides: dict | None = None) -> IdentificationPlan:
-    """
-    Plan the experiment from parameter files, later ones winning; see `plan_identification`.
-
-    Such as ``config/identification.yaml``; keys of other nodes may stand in the same files.
-    ``overrides`` are single parameters. ConfigError begins with file and line where it has them.
-    """
-    values, places = read_values(files)
-    values |= overrides or {}
-    try:
-        known_keys(values, robot.joints)
-        return plan_identification(values, robot, gains)
-    except (ConfigError, ParameterError) as error:
-        raise located(error, files, places) from error
 
 
 _LEAST, _MOST = 0.2, 3.0  # of what was planned
