@@ -37,8 +37,8 @@ WARM = 0.8                                                # friction of the seco
 def hidden():
     """Return the robot as believed, the true arm, recordings without and with a load."""
     robot, arm, urdf = hidden_arm()
-    bare = moved(urdf, robot.arm, 11.0, per_load=PER_LOAD)
-    heavy = moved(urdf, robot.arm, 11.0, seed=1, load=LOAD, per_load=PER_LOAD,
+    bare = moved(urdf, robot.arm, 16.0, per_load=PER_LOAD)
+    heavy = moved(urdf, robot.arm, 16.0, seed=1, load=LOAD, per_load=PER_LOAD,
                   warm=WARM)
     bare = replace(bare, tau_motor=SCALE * bare.tau_motor, operation=Operation(temperature='cold'))
     heavy = replace(heavy, tau_motor=SCALE * heavy.tau_motor + OFFSET,
