@@ -44,12 +44,12 @@ def test_every_guess_is_an_effect_the_model_allows(likelihood):
 
 def test_what_a_guess_stands_for_is_the_sum_of_its_probes(likelihood):
     """Columns times coefficients against the rows of the effect itself, for linear ones."""
-    rows = likelihood.rows(likelihood.robot, np.zeros(len(likelihood.nuisances)))
+    rows = likelihood.fitted(likelihood.robot, np.zeros(len(likelihood.nuisances))).rows
 
     def made(name, joint, values):
         spec = EffectSpec(name=name, joint=joint, values=tuple(map(float, values)))
-        return likelihood.rows(replace(likelihood.robot, effects=(spec,)),
-                               np.zeros(len(likelihood.nuisances))) - rows
+        return likelihood.fitted(replace(likelihood.robot, effects=(spec,)),
+                                 np.zeros(len(likelihood.nuisances))).rows - rows
     linear = ('torque_ripple', 'position_friction', 'gravity_tilt', 'spring_cubic',
               'motor_viscous', 'kinematic_error', 'friction_drift', 'viscous_error',
               'motor_inertia_coupling')

@@ -53,7 +53,7 @@ class Linear:
         a, y = self.slopes_by, self._offset
         x = np.linalg.solve(a @ a.T + np.diag(1.0 / SD ** 2), -a @ y)
         rows = y + x @ a
-        return Fitted(self.robot, x, rows, self.sums(rows, self.robot, x))
+        return Fitted(self.robot, x, [], rows, self.sums(rows, self.robot, x))
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -80,7 +80,7 @@ def test_an_effect_has_the_odds_of_one_among_all_against_it():
     told = SimpleNamespace(name='motor_torque_bias', joint='j', values=(0.0,))
     arm = SimpleNamespace(rigid=[True], stiffness=[np.inf])
     with_one = Fitted(SimpleNamespace(effects=(told,), joints=('j',), arm=arm), model.x,
-                      model.rows, model.sums)
+                      [], model.rows, model.sums)
     given.scales_of = lambda joint: Scales(0.1, 1.0, 0.0, 0.0, 1.0, 0.01, 0.1,
                                            Travel(-1.0, 1.0, 2.0), 20.0)
     columns = np.concatenate([slopes, np.zeros((1, 12))])

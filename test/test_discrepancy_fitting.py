@@ -56,7 +56,7 @@ def test_a_payload_and_the_inertias_it_resembles_do_not_pull_against_each_other(
         model = likelihood.fitted(with_effect(case.nominal, replace(
             true, values=(factor * true.values[0],))), np.zeros(len(likelihood.sd)))
         for _ in range(3):
-            model, _ = refitted(likelihood, model, likelihood.columns(model.robot, model.x))
+            model, _ = refitted(likelihood, model, likelihood.columns(model))
         ends.append(model)
     masses = [model.robot.effects[0].values[0] for model in ends]
     assert masses[1] == pytest.approx(masses[0], rel=0.05)

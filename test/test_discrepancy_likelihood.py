@@ -93,7 +93,7 @@ def test_slopes_are_the_derivative_of_the_cost():
     likelihood = likelihood_of(make_case('clean', 3, population='encoders_fine', duration=6.0))
     x = 0.5 * likelihood.sd * np.random.default_rng(2).uniform(-1.0, 1.0, len(likelihood.sd))
     model = likelihood.fitted(likelihood.robot, x)
-    columns = likelihood.columns(model.robot, x)
+    columns = likelihood.columns(model)
     noise = likelihood.encoder_noise
     slopes = likelihood.slopes(noise.known(columns), noise.columns(model.robot, ()), model,
                                likelihood.weights(model.sums.groups))
@@ -169,7 +169,7 @@ def test_a_fit_ends_with_what_encoder_noise_truly_adds(robot, gains):
     likelihood.encoder_noise.learn(likelihood, replace(soft, values=probe), [(0, probe)])
     x = np.zeros(len(likelihood.nuisances))
     begin = likelihood.fitted(with_effect(robot, replace(soft, values=(-0.7, 0.0))), x)
-    columns = likelihood.columns(robot, x)
+    columns = likelihood.columns(likelihood.fitted(robot, x))
     found = fit(likelihood, begin.robot, x, columns)
     exact = likelihood.exact(begin)
     assert abs(exact.cost - begin.cost) > 10.0

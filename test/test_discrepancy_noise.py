@@ -77,7 +77,7 @@ def test_two_gains_that_make_torques_small_gain_nothing():
         for joint in likelihood.robot.joints))
     left = unexplained(likelihood.motions[0], likelihood.constants(weak, zero))
     left[:, n:] /= 0.5  # of the motors, which the drives turn
-    np.testing.assert_allclose(likelihood.rows(weak, zero),
+    np.testing.assert_allclose(likelihood.fitted(weak, zero).rows,
                                likelihood.whitened.rows_of([left]) - likelihood.usual, atol=1e-9)
 
 

@@ -133,7 +133,7 @@ def _information(recordings, robot, missing):
     x = np.zeros(len(likelihood.nuisances))
     model = likelihood.fitted(robot, x)
     sd = likelihood.sd[own]
-    columns = informative(likelihood, model, likelihood.columns(robot, x))[own]
+    columns = informative(likelihood, model, likelihood.columns(model))[own]
     scaled = columns * sd[:, None]
     return scaled @ scaled.T, wanted, sd
 

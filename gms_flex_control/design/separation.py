@@ -360,5 +360,5 @@ def _state(likelihood, hypothesis, nuisances):
     known = dict(zip(nuisances, hypothesis.model.x, strict=True))
     x = np.array([known.get(one, 0.0) for one in likelihood.nuisances])
     model = likelihood.fitted(hypothesis.model.robot, x)
-    columns = likelihood.columns(model.robot, x)
+    columns = likelihood.columns(model)
     return state_of(likelihood, *refitted(likelihood, model, columns, _ITERATIONS), 2)

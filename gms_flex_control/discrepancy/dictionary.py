@@ -148,10 +148,8 @@ class Dictionary:
                        for name, joint, guess in self.guesses for values in guess.probes]
         self.columns = np.empty((len(self._specs), len(model.rows)), dtype=np.float32)
 
-        begun = likelihood.residuals(likelihood.motions, model.robot, model.x)
-
         def fill(k):
-            self.columns[k] = likelihood.change(begun, with_effect(
+            self.columns[k] = likelihood.change(model, with_effect(
                 model.robot, self._specs[k]), model.x)
         list(likelihood.pool.map(fill, range(len(self._specs))))
         self._learn_noise()

@@ -49,7 +49,7 @@ def as_given(likelihood, state, nuisances, but=()) -> State:
     free = {joints.index(name) for name in but}
     farthest = np.array([np.inf if one.joint in free else 0.0 for one in likelihood.nuisances])
     model = fit(likelihood, state.model.robot, x, nuisances, plausible=farthest)
-    own = effect_columns(likelihood, model.robot, x, numbers_of(likelihood, model.robot))
+    own = effect_columns(likelihood, model, numbers_of(likelihood, model.robot))
     return State(model, nuisances, own, -np.inf, farthest)
 
 

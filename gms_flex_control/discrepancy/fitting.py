@@ -140,18 +140,16 @@ def is_within(likelihood, model, plausible) -> bool:
     return bool(np.all(np.abs(model.x) <= plausible * likelihood.sd))
 
 
-def effect_columns(likelihood, robot, x, numbers) -> np.ndarray:
-    """Return derivatives (V, R) of whitened residuals by parameters of effects."""
-    values = values_of(robot, numbers)
-    begun = likelihood.residuals(likelihood.motions, robot, x) if numbers else []
+def effect_columns(likelihood, model, numbers) -> np.ndarray:
+    """Return derivatives (V, R) of the rows of a Fitted by parameters of its effects."""
+    values = values_of(model.robot, numbers)
 
     def column(i):
         at, step = values.copy(), numbers[i].step
         step = -step if at[i] + step > numbers[i].upper else step
         at[i] += step
-        return likelihood.change(begun, at_values(robot, numbers, at), x) / step
-    return likelihood.each(column, range(len(numbers))).reshape(
-        len(numbers), len(likelihood.usual))
+        return likelihood.change(model, at_values(model.robot, numbers, at), model.x) / step
+    return likelihood.each(column, range(len(numbers))).reshape(len(numbers), len(model.rows))
 
 
 class Prior(NamedTuple):
@@ -318,7 +316,7 @@ def _descended(likelihood, model, columns, first, plausible, iterations):
     for _ in range(iterations):
         numbers = numbers_of(likelihood, model.robot, first)
         if own is None:
-            own = effect_columns(likelihood, model.robot, model.x, numbers[known:])
+            own = effect_columns(likelihood, model, numbers[known:])
         step, most = foreseen(likelihood, model, columns, own, numbers, plausible)
         values = values_of(model.robot, numbers)
         for shrink in _SHRINK if most > _TRIFLE else _SHRINK[:1]:
@@ -360,13 +358,13 @@ def retuned(likelihood, robot, x, plausible=np.inf, columns=None) -> tuple:
     """
     fixed = columns is not None
     if not fixed:
-        columns = likelihood.columns(robot, x)
+        columns = likelihood.columns(likelihood.fitted(robot, x))
     for _ in range(_RETUNED):
         model = fit(likelihood, robot, x, columns, first=len(robot.effects), plausible=plausible)
         moved, x = np.abs(model.x - x) / likelihood.sd, model.x
         if fixed or moved.max() < 1.0:
             break
-        columns = likelihood.columns(robot, x)
+        columns = likelihood.columns(model)
     return model, columns
 
 
@@ -383,8 +381,7 @@ def refitted(likelihood, model, nuisances, iterations=8) -> tuple:
 def extended(likelihood, model, columns, first=None) -> np.ndarray:
     """Return columns (C, R), then those by the numbers of effects from the ``first`` on."""
     numbers = numbers_of(likelihood, model.robot, first)
-    return np.concatenate([columns, effect_columns(
-        likelihood, model.robot, model.x, numbers)])
+    return np.concatenate([columns, effect_columns(likelihood, model, numbers)])
 
 
 def without(likelihood, model, columns, *dropped) -> tuple:

@@ -157,11 +157,10 @@ class _Learning:
 
     def __init__(self, likelihood, measured, before, say, plausible=np.inf):
         self.likelihood, self._measured, self._say = likelihood, measured, say
-        self._nuisances = likelihood.columns(before.robot, before.x)
+        self._nuisances = likelihood.columns(before)
         self._plausible = plausible  # standard deviations that nuisance parameters may go
         self._before = State(before, self._nuisances, effect_columns(
-            likelihood, before.robot, before.x, numbers_of(likelihood, before.robot)),
-            -np.inf, PLAUSIBLE)
+            likelihood, before, numbers_of(likelihood, before.robot)), -np.inf, PLAUSIBLE)
         self._caution = UNSEEN if likelihood.unseen else 1.0
         joints = range(likelihood.robot.n_joints)
         self._ranges = [_ranges(likelihood, j) for j in joints]
@@ -268,7 +267,7 @@ class _Learning:
         def column(k):
             values = (*(size * (i == k) for i in range(count)), *spec.values[count:])
             probe = with_effect(base.robot, replace(spec, values=values))
-            return (likelihood.rows(probe, base.x) - model.rows) / size
+            return likelihood.change(model, probe, base.x) / size
         own = np.zeros((count, len(model.rows)))
         own[:_used(spec)] = likelihood.each(column, range(_used(spec)))
         columns, at = np.concatenate([state.columns, own]), len(base.x)

@@ -72,7 +72,8 @@ class Fitted:
 
     robot: object     # RobotParams, with effects
     x: np.ndarray     # (P,) nuisance parameters
-    rows: np.ndarray  # (R,) whitened residuals
+    residuals: list   # of each recording, (S, 2 n) [N m]
+    rows: np.ndarray  # (R,) whitened, less what every null simulation shows
     sums: Sums        # of the rows
 
     @property
@@ -269,14 +270,10 @@ class Likelihood:
         return np.array([0.0 if isinstance(one, OfRecording) else value
                          for one, value in zip(self.nuisances, x, strict=False)])
 
-    def rows(self, robot, x) -> np.ndarray:
-        """Return whitened residuals of a model (R,), less what every null simulation shows."""
-        return self.whitened.rows_of(self.residuals(self.motions, robot, x)) - self.usual
-
     def change(self, begun, robot, x) -> np.ndarray:
-        """Return the `rows` of a model (R,) less those of the residual torques ``begun``."""
+        """Return the `rows` of a model (R,) less those of a Fitted."""
         return self.whitened.rows_of([one - other for one, other in zip(
-            self.residuals(self.motions, robot, x), begun, strict=True)])
+            self.residuals(self.motions, robot, x), begun.residuals, strict=True)])
 
     def of_pair(self, robot, x) -> list:
         """Return whitened residuals (R,) of a model along two null simulations of one motion."""
@@ -306,8 +303,9 @@ class Likelihood:
 
     def fitted(self, robot, x) -> Fitted:
         """Return a model as it is, a Fitted."""
-        rows = self.rows(robot, x)
-        return Fitted(robot, x, rows, self.sums(rows, robot, x))
+        residuals = self.residuals(self.motions, robot, x)
+        rows = self.whitened.rows_of(residuals) - self.usual
+        return Fitted(robot, x, residuals, rows, self.sums(rows, robot, x))
 
     def exact(self, model) -> Fitted:
         """Return a Fitted with what encoder noise adds simulated: others are compared with it."""
@@ -323,15 +321,13 @@ class Likelihood:
         """Return what a function gives of each job, in threads, stacked."""
         return np.array(list(self.pool.map(function, jobs)))
 
-    def columns(self, robot, x) -> np.ndarray:
-        """Return derivatives of the rows by the nuisance parameters, shape (P, R)."""
-        begun = self.residuals(self.motions, robot, x)
-
+    def columns(self, model) -> np.ndarray:
+        """Return derivatives (P, R) of the rows of a Fitted by the nuisance parameters."""
         def column(i):
-            at = x.copy()
+            at = model.x.copy()
             at[i] += NUISANCE_STEP
-            return self.change(begun, robot, at) / NUISANCE_STEP
-        return self.each(column, range(len(x))).reshape(len(x), len(self.usual))
+            return self.change(model, model.robot, at) / NUISANCE_STEP
+        return self.each(column, range(len(model.x))).reshape(len(model.x), len(model.rows))
 
     # --- torques -----------------------------------------------------------------------------
 

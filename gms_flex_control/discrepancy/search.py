@@ -220,7 +220,7 @@ class _Search:
             if np.max(np.abs(model.x - x) / likelihood.sd) < _FAR:
                 break
             x = model.x
-            nuisances = likelihood.columns(model.robot, x)
+            nuisances = likelihood.columns(model)
             state = max(state, self._tried(*refitted(likelihood, model, nuisances)),
                         key=lambda one: one.evidence)
             model = state.model
@@ -262,5 +262,5 @@ class _Search:
         """Fit all once more by derivatives of the model found: those of the first are stale."""
         model = self.best.model
         if len(model.robot.effects) > self._known:
-            self.nuisances = self._likelihood.columns(model.robot, model.x)
+            self.nuisances = self._likelihood.columns(model)
             self.best = self._tried(*refitted(self._likelihood, model, self.nuisances))
