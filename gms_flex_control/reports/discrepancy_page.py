@@ -29,7 +29,8 @@ import numpy as np
 TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
           UNEXPLAINED: 'Something is missing that no effect explains well enough',
           BAD_DATA: 'The data are at fault'}
-MOST_PICTURES = 8     # findings with a picture and a chart of their own
+MOST_PICTURES = 8     # findings that matter, with a picture of their own
+MOST_OVER = 4         # variables a residual is drawn over: the table has all
 MOST_JOINTS = 3       # with maps and courses of their residual: those farthest above its floor
 
 
@@ -73,12 +74,12 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
         _add_summary(report, result)
         return pictures
     along = residual_views.Along(result.behind.likelihood)
-    evidence = [residual_views.evidence_of(along, result.behind.after, finding)
-                for finding in result.named[:MOST_PICTURES]]
+    evidence = {one: residual_views.evidence_of(along, result.behind.after, one)
+                for one in [one for one in result.named if one.main][:MOST_PICTURES]}
     runs = free_runs_of(result.behind, holdout)
     first = None  # what stands open: how an effect shows, or the free runs of a joint
     if evidence and not opened:
-        first = evidence[0]
+        first = next(iter(evidence.values()))
         _add_evidence(report, first, evidence_figure(first))
     elif not opened:
         first = int(np.argmax(np.nan_to_num(result.gap.free_after)))
@@ -150,7 +151,7 @@ def _add_findings(report, result, evidence, picture, first):
         for own, model in zip(sets, result.searched.models, strict=True)],
         'The credible set: the fewest models that hold 95 % of the probability'
         + (f'. All of them have {describe.of_joints(common)}; beside these:' if common else ''))
-    for i, (finding, shown) in enumerate(zip(findings, evidence, strict=False)):
+    for i, finding in enumerate(findings):
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
         report.text(f'{in_words(finding.effect)}.')
         report.text(describe.capitalised(finding.evidence))
@@ -158,10 +159,11 @@ def _add_findings(report, result, evidence, picture, first):
             report.note(f'Indistinguishable in these data from '
                         f'{describe.of_joints(finding.indistinguishable_from)}. '
                         f'Discriminating experiment: {finding.discriminated_by}.', warning=True)
-        stem = file_stem(f'{finding.effect}_{finding.joint}')
-        figure = picture(evidence_figure(shown), f'evidence_{i + 1}_{stem}.png')
-        if shown is not first:
-            _add_evidence(report, shown, figure)
+        shown, stem = evidence.get(finding), file_stem(f'{finding.effect}_{finding.joint}')
+        if shown is not None:
+            figure = picture(evidence_figure(shown), f'evidence_{i + 1}_{stem}.png')
+            if shown is not first:
+                _add_evidence(report, shown, figure)
 
 
 def _finding_row(finding, scale):
@@ -216,8 +218,9 @@ def _add_residuals(report, along, behind, picture):
                       f'{joint}: maps of the missing torque')
         for equation, _ in along.channels(j):
             own = [one for one in over if (one.joint, one.equation) == (joint, equation)]
-            report.figure(over_figure(own),
-                          f'{joint}: missing in the {equation} equation, over each variable')
+            report.figure(over_figure(sorted(own, key=lambda one: -one.shares[0])[:MOST_OVER]),
+                          f'{joint}: missing in the {equation} equation, over what it depends on '
+                          'most')
     report.table(
         ('joint', 'equation', 'variable', WITHOUT, WITH, 'by chance',
          f'bins off zero: {WITHOUT}', WITH, 'by chance'),

@@ -39,7 +39,6 @@ WIDTH = 7.0  # inch
 DIRECTIONS = ((1.0, 'forward', COLOURS[0]), (-1.0, 'backward', COLOURS[1]))
 MOST_LOOPS = 6        # drawn in one picture
 _MOST_POINTS = 4000   # of a cloud
-_COLUMNS = 4          # of panels over each variable
 _CLEAR = 0.99         # of what is drawn there: the farthest bins are cut
 _LOW_PASS, _SLOW = 8.0, 3.0  # of predicted torques, beside measured ones too [Hz]
 # one colour for one model in every picture and chart
@@ -288,14 +287,12 @@ def _usual(values):
 
 def over_figure(found) -> Figure:
     """Return the residual of one joint and equation over each variable (Over), 95 % bands."""
-    rows = -(-len(found) // _COLUMNS)
-    height = 2.0 * rows + 0.9
-    figure, panels = panels_of(rows, _COLUMNS, (9.0, height), layout=None, sharey=True)
+    figure, (panels,) = panels_of(1, len(found), (9.0, 2.9), layout=None, sharey=True)
     scale = torque_scale(np.concatenate([one.before.mean for one in found]))
     farthest = np.concatenate([np.abs(curve.mean) + curve.half
                                for one in found for curve in (one.before, one.after)])
     limit = 1.1 * scale.factor * np.quantile(farthest, _CLEAR) if len(farthest) else 1.0
-    for one, panel in zip(found, panels.flat, strict=False):
+    for one, panel in zip(found, panels, strict=True):
         panel.axhline(0.0, color='0.6', linewidth=0.6)
         for curve, colour in ((one.before, BEFORE), (one.after, AFTER)):
             _band(panel, curve, colour, scale.factor, linewidth=1.0)
@@ -305,15 +302,11 @@ def over_figure(found) -> Figure:
         panel.ticklabel_format(axis='x', scilimits=(-2, 4))
         panel.xaxis.get_offset_text().set_fontsize(7)
         panel.set_ylim(-(limit or 1.0), limit or 1.0)
-    for panel in panels.flat[len(found):]:
-        panel.set_axis_off()
-    for panel in panels[:, 0]:
-        panel.set_ylabel(f'[{scale.unit}]', fontsize=8)
+    panels[0].set_ylabel(f'[{scale.unit}]', fontsize=8)
     figure.suptitle(f'{found[0].joint}: torque missing in the {found[0].equation} equation, means '
                     f'with 95 % bands,\n{WITHOUT} (orange), {WITH} (blue)', fontsize=10,
                     parse_math=False)
-    figure.subplots_adjust(left=0.07, right=0.985, bottom=0.16 / rows, top=1.0 - 0.8 / height,
-                           hspace=0.62, wspace=0.08)
+    figure.subplots_adjust(left=0.07, right=0.985, bottom=0.16, top=0.72, wspace=0.08)
     return figure
 
 
