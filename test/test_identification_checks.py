@@ -9,6 +9,7 @@ import warnings
 
 from bench.hidden_robots.cases import make_case
 from faulty import (
+    changed,
     dropped,
     exchanged_sides,
     FAULTS,
@@ -79,6 +80,27 @@ def test_an_injected_fault_is_named(base, fault):
     assert named.text.startswith(f'{recording.source}: ') and '; ' in named.text + '; '
     if kind not in ('still', 'too_short'):
         assert {finding.kind for finding in found} == {kind}, found
+
+
+def test_a_source_slower_than_the_log_does_not_jump():
+    """One reading for 16 samples of a while moves as much farther; half a turn is a jump."""
+    recording, robot = healthy('rigid')
+    rows = np.arange(len(recording.time))
+    slow = (rows >= 1600) & (rows < 2000)
+    held = taken(recording, np.where(slow, rows // 16 * 16, rows), recording.time)
+    assert 'jump' not in {one.kind for one in check(held, robot)}
+    turned = changed(held, q_link=lambda q, time: q + np.pi * (time > 5.0))
+    assert [one.kind for one in check(turned, robot)][-1] == 'jump'
+
+
+def test_a_joint_that_stands_may_give_way_once():
+    """Twelve counts are no jump of an encoder that goes by one otherwise."""
+    recording, robot = healthy('rigid')
+    count, rng = 2.0 * np.pi / 16384, np.random.default_rng(0)
+    angle = recording.q_link.copy()
+    angle[:, 1] = count * (rng.integers(0, 2, len(angle)) + 12 * (recording.time > 5.0))
+    found = check(replace(recording, q_link=angle, dq_link=np.nan * angle), robot)
+    assert 'jump' not in {one.kind for one in found}
 
 
 @pytest.mark.parametrize('name', ['sinusoid', 'gravity', 'rigid gravity'])

@@ -17,6 +17,7 @@ from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 _BESIDE = 5              # samples that give the velocity beside a run of equal ones
+_HELD = 0.1              # s, as often a slow source gives a reading: longer ones stand
 
 
 def length(signals: Recording) -> list[Finding]:
@@ -196,17 +197,18 @@ def broken(signals: Recording) -> list[Finding]:
     found = []
     for j, joint in enumerate(signals.joints):
         for side, q, _ in sides(signals, j):
-            top, unit = _top_step(q), quantum(q)
+            top, unit = signals.period * _top_speed(signals.time, q), quantum(q)
             grain = max(unit, 3 * _noise(q))
             runs = _while_moving(q, _runs(np.diff(q) == 0), max(3 * grain, 0.05 * top))
             found += _frozen(signals, joint, f'the {side} angle of {joint} stays', runs)
-            found += _jumps(signals, joint, side, q, (top, unit), runs[:, 1])
+            found += _jumps(signals, joint, side, q, unit)
     return found
 
 
-def _top_step(q):
-    """Return about how far the angle moves at most in one sample."""
-    across = np.abs(q[2 * _BESIDE:] - q[:-2 * _BESIDE]) / (2 * _BESIDE)
+def _top_speed(time, q):
+    """Return about how fast an angle (T,) moves at most [rad/s]."""
+    across = np.abs(q[2 * _BESIDE:] - q[:-2 * _BESIDE]) / (time[2 * _BESIDE:]
+                                                           - time[:-2 * _BESIDE])
     across = across[np.isfinite(across)]
     # a jump adds but a tenth of itself to this
     return 1.5 * float(across.max()) if across.size else 0.0
@@ -238,16 +240,6 @@ def _while_moving(q, runs, step):
     return runs[moving & abrupt]
 
 
-def _caught_up(q, runs, steps, odd):
-    """Reduce in place how odd (T-1,) the steps after frozen runs are that only catch up."""
-    runs = runs[(runs[:, 0] >= _BESIDE) & (runs[:, 1] + 1 + _BESIDE < len(q))]
-    first, last = runs.T
-    before = (q[first] - q[first - _BESIDE]) / _BESIDE
-    after = (q[last + 1 + _BESIDE] - q[last + 1]) / _BESIDE
-    expected = 0.5 * (before + after) * (last - first + 1)
-    odd[last] = np.minimum(odd[last], np.abs(steps[last] - expected))
-
-
 def _frozen(signals, joint, what, runs):
     count = int(np.sum(runs[:, 1] - runs[:, 0]))
     share = count / len(signals.time)
@@ -262,29 +254,35 @@ def _frozen(signals, joint, what, runs):
                   'at its own rate')
 
 
-def _jumps(signals, joint, side, q, scales, held):
-    top, unit = scales
-    steps = np.diff(q)
-    steps = np.where(np.isfinite(steps), steps, 0.0)
-    elapsed = np.diff(signals.time)
-    steps *= np.minimum(signals.period / elapsed, 1.0)
-    if len(steps) < 20:
+def _beside(values):
+    """Return the two values before and behind each of (T,), shape (4, T)."""
+    padded = np.pad(values, 2, mode='edge')
+    return np.array([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]])
+
+
+def _jumps(signals, joint, side, q, unit):
+    known = np.isfinite(q)
+    time, q = signals.time[known], q[known]
+    changed = np.flatnonzero(np.concatenate([[True], np.diff(q) != 0.0])[:len(q)])
+    if len(changed) < 20:
         return
-    padded = np.pad(steps, 2, mode='edge')
-    around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
+    # what a source slower than the log has moved since its last reading comes at once
+    gaps, time, q = np.diff(time)[changed[1:] - 1], time[changed], q[changed]
+    since = np.minimum(np.diff(time), _HELD)
+    steps = np.diff(q) * np.minimum(signals.period / since, 1.0)
+    around = np.median(_beside(steps), axis=0)
     odd = np.abs(steps - around)
+    top = signals.period * _top_speed(time, q)
     limit = max(3 * np.quantile(odd, 0.99), 4 * unit, 2 * top)
-    _caught_up(q, _runs(steps == 0), steps, odd)
-    jumps = np.setdiff1d(np.flatnonzero(odd > limit), held)
     # where the clock is wrong, so are the steps
-    trusted = np.pad(elapsed, 2, mode='edge')
-    trusted = np.min([trusted[:-4], trusted[1:-3], elapsed, trusted[3:-1], trusted[4:]], axis=0)
-    jumps = jumps[(trusted[jumps] > 0.5 * signals.period)
-                  & (elapsed[jumps] < 5 * signals.period)]
-    if jumps.size:
+    trusted = np.minimum(np.min(_beside(gaps), axis=0), gaps) > 0.5 * signals.period
+    jumps = np.flatnonzero((odd > limit) & trusted & (gaps < 5 * signals.period))
+    moves = np.diff(q)
+    moves[jumps] = 0.0
+    if jumps.size and np.ptp(np.cumsum(moves)) > limits.TRAVEL * unit:  # else it gives way once
         worst = jumps[np.argmax(odd[jumps])]
         yield Finding('jump', joint, 'refuse', f'{signals.source}: the {side} angle of {joint} '
                       f'jumps {jumps.size} times, most by {q[worst + 1] - q[worst]:.4g} rad in '
-                      f'one sample at {signals.time[worst + 1]:.3f} s (at full speed it moves '
+                      f'one sample at {time[worst + 1]:.3f} s (at full speed it moves '
                       f'{top:.2g}); unwrap the angle, or cut the recording there: a clock '
                       'that was set back by whole periods looks like this too')
