@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from bench.hidden_arms.wrong_links import base_values, hidden_arm, moved
+from bench.hidden_arms.wrong_links import base_values, friction_of, hidden_arm, moved
 from gms_flex_control.data.conditions import Conditions, with_conditions
 from gms_flex_control.data.recording import Operation
 from gms_flex_control.discrepancy.motion import motion_of
@@ -15,7 +15,9 @@ from gms_flex_control.errors import BagError, ConfigError, IdentificationError
 from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
 from gms_flex_control.identification.assumed_robot import believed_model
+from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
+from gms_flex_control.identification.output import friction_values
 from gms_flex_control.identification.recording_checks import require
 from gms_flex_control.identification.segments import drive_sides, one_by_one, segments_of
 from gms_flex_control.params.arm import Body
@@ -269,3 +271,21 @@ def test_friction_of_a_motor_that_two_joints_turn_is_told_from_theirs(hidden):
 def test_a_coupling_of_no_joint_is_refused(coupling, sentence, hidden):
     with pytest.raises(ConfigError, match=sentence):
         with_conditions(hidden[2][0], Conditions(coupling=coupling))
+
+
+def test_an_arm_is_identified_that_was_recorded_joint_by_joint():
+    """The friction of the joints that moved is found, that of all others stays as described."""
+    robot, arm, urdf = hidden_arm()
+    takes = [moved(urdf, robot.arm, 10.0, seed=j, moving=np.arange(6) == j) for j in (3, 0)]
+    found = identify(takes, replace(robot, arm=arm), options=Options(blocks=(1,)))
+    assert any('joint2, joint3, joint5, joint6 hardly move' in one for one in found.warnings)
+    assert [one.joint for one in found.joints] == ['joint1', 'joint4']
+    coulomb, viscous = friction_of(robot.arm)
+    for own, other in ((found.robot.friction.forward, robot.friction.forward),
+                       (found.robot.friction.backward, robot.friction.backward)):
+        np.testing.assert_allclose(own.coulomb[[0, 3]], coulomb[[0, 3]], rtol=0.1)
+        np.testing.assert_allclose(own.viscous[[0, 3]], viscous[[0, 3]], rtol=0.1)
+        np.testing.assert_array_equal(own.coulomb[[1, 2, 4, 5]], other.coulomb[[1, 2, 4, 5]])
+    values = friction_values(found)
+    assert 'uncertainty.joint4.level' in values
+    assert 'uncertainty.joint3.level' not in values

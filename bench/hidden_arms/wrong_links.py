@@ -19,6 +19,7 @@ import numpy as np
 ARM = Path(__file__).parents[2] / 'examples' / 'industrial_arm' / 'robot.yaml'
 STEP, EVERY = 5e-4, 4   # s; steps of a sample
 MOTORS = 1.2             # times the motor inertia believed
+HELD = 1e4               # stiffness over inertia of joints that do not move [1/s^2]
 COUNTS = 2e6            # of the encoders, per revolution
 TOOL = 'tool_centre'     # link at the end of the arm, in whose frame loads are given
 
@@ -82,12 +83,20 @@ def loaded(urdf, load: Body | None):
     return ElementTree.tostring(root, encoding='unicode')
 
 
-def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_load=0.0, warm=1.0):
+def friction_of(arm: ArmParams) -> np.ndarray:
+    """Return Coulomb [N m] and viscous friction [N m s/rad] of `moved`, (n,) each."""
+    mass = np.diag(mass_matrices(np.zeros((1, arm.n_joints)), arm)[0])
+    return np.array([0.02 * mass + 4.0, 0.05 * mass + 2.0])
+
+
+def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_load=0.0, warm=1.0,
+          moving=1.0):
     """
     Return a Recording of PD control along sinusoids, friction in the joints.
 
     ``noise`` is white noise of the recorded torque, of its standard deviation. Friction is
     ``warm`` times what it is and grows by ``per_load`` (n,) of the torque that moves the link.
+    Joints move by ``moving`` (n,) times as far; those with 0 are held.
     """
     import mujoco
     model = mujoco.MjModel.from_xml_string(loaded(urdf, load))
@@ -97,7 +106,7 @@ def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_loa
     model.dof_armature[:] = MOTORS * arm.motor_inertia
     data, n, rng = mujoco.MjData(model), arm.n_joints, np.random.default_rng(seed)
     frequency, phase = rng.uniform(0.1, 0.6, (3, n)), rng.uniform(0.0, 2.0 * np.pi, (3, n))
-    size = 0.25 * np.minimum(arm.frames.upper - arm.frames.lower, 2.0 * np.pi) / 2.0
+    size = 0.25 * moving * np.minimum(arm.frames.upper - arm.frames.lower, 2.0 * np.pi) / 2.0
 
     def reference(t):
         turn = 2.0 * np.pi * frequency * t + phase
@@ -106,14 +115,15 @@ def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_loa
     data.qpos[:], data.qvel[:] = reference(0.0)
     mujoco.mj_forward(model, data)
     mass = np.diag(mass_matrices(np.zeros((1, n)), arm)[0])
-    stiff, coulomb, viscous = 400.0 * mass, 0.02 * mass + 4.0, 0.05 * mass + 2.0
+    stiff = np.broadcast_to(np.where(moving, 400.0, HELD), n) * mass
+    damping, (coulomb, viscous) = 1.6 * np.sqrt(stiff * mass), friction_of(arm)
     samples = round(seconds / STEP / EVERY)
     angle, torque = np.empty((2, samples, n))
     applied = np.zeros(n)
     for k in range(samples):
         angle[k], torque[k] = data.qpos, applied
         wanted, rate = reference(k * EVERY * STEP)
-        applied = stiff * (wanted - data.qpos) + 0.08 * stiff * (rate - data.qvel) + (
+        applied = stiff * (wanted - data.qpos) + damping * (rate - data.qvel) + (
             data.qfrc_bias)
         for _ in range(EVERY):
             turning = data.qvel + 0.5 * STEP * data.qacc  # in the middle of the step

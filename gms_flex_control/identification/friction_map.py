@@ -172,8 +172,8 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
     moves, or friction drives it both ways together and there is no ``level``.
     """
     directions, lines, ways = [], [], [(1.0, 'forward'), (-1.0, 'backward')]
-    seen = [int(np.sum(sign * friction_map.velocity > 0.0)) for sign, _ in ways]
-    if max(seen) < _FEWEST_WINDOWS:
+    seen = _seen(friction_map)
+    if not moves(friction_map):
         raise IdentificationError(
             f'{source}: {joint} moves steadily forward {seen[0]} times and backward {seen[1]} '
             f'times only: record motion both ways, each at least {_FEWEST_WINDOWS} times')
@@ -213,6 +213,16 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
     return Start(*directions, attraction=directions[0].coulomb / _LAG,
                  yields=np.geomspace(finest, widest, N_SPREAD), straight=tuple(lines),
                  unmoved=unmoved)
+
+
+def moves(friction_map: FrictionMap) -> bool:
+    """Return whether a joint moves often enough for its friction to show, one way at least."""
+    return max(_seen(friction_map)) >= _FEWEST_WINDOWS
+
+
+def _seen(friction_map):
+    """Return in how many windows a joint moves forward, and backward."""
+    return [int(np.sum(sign * friction_map.velocity > 0.0)) for sign in (1.0, -1.0)]
 
 
 def _steady_rows(friction_map, sign):

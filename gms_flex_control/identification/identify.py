@@ -18,11 +18,17 @@ from gms_flex_control.identification.arm_regression import fit_differences
 from gms_flex_control.identification.assumed_robot import (
     believed_model,
     cleared,
+    only_joints,
     with_load_friction,
 )
 from gms_flex_control.identification.contest import choose_fit, simple_theta
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS, STATICS
-from gms_flex_control.identification.friction_map import friction_map, repeatability, start_of
+from gms_flex_control.identification.friction_map import (
+    friction_map,
+    moves,
+    repeatability,
+    start_of,
+)
 from gms_flex_control.identification.multi_start import fit_all
 from gms_flex_control.identification.objective import (
     Bundle,
@@ -61,6 +67,7 @@ from gms_flex_control.params.robot import FrictionParams, RobotParams, StribeckP
 import numpy as np
 
 _SAME_PERIOD = 0.01   # relative difference of sample periods of recordings fitted together
+_HELD = 0.01          # of the widest travel: a joint that moves less was held, and gave way a bit
 _CURVE_POINTS = 80
 _VELOCITIES = 200
 
@@ -125,9 +132,7 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
         say('intervals and errors on data held out')
         joints, arm = data.results(fits)
     return Identification(
-        robot=with_load_friction(replace(arm if whole else robot,
-                                         friction=_friction_params(fits)), data.per_load,
-                                 data.step),
+        robot=data.with_friction(arm if whole else robot, fits),
         believed=robot,
         joints=joints, sources=tuple(take.source for take, _ in takes),
         holdouts=tuple(take.source for take, _ in holdouts),
@@ -185,25 +190,53 @@ class Data:
             parts = [[self.arm_fit.cleared(one) for one in part] for part in parts]
         segments = numbered([one for part in parts[:len(takes)] for one in part], period)
         self._apart = [one for part in parts[len(takes):] for one in part]
-        arm = self.robot.arm
-        self.step = np.array([resolution(segments, j, 2.0 * half[j]) for j in joints])
-        self.maps = [friction_map(segments, arm, j, period, half[j]) for j in joints]
-        self.starts = [start_of(self.maps[j], travel(segments, j), self.step[j], robot.joints[j],
-                                recordings[0].source,
-                                self.arm_fit.friction[j] if whole else None) for j in joints]
+        self._steps = np.array([resolution(segments, j, 2.0 * half[j]) for j in joints])
+        self.maps = [friction_map(segments, self.robot.arm, j, period, half[j]) for j in joints]
+        self._sources = [take.source for take, _ in takes]
+        self.fitted = self._joints_to_fit(segments)  # all that follows is of these joints
+        if len(self.fitted) < robot.n_joints:
+            self.robot = only_joints(self.robot, [robot.joints[j] for j in self.fitted])
+            self.sides, self.maps = ([one[j] for j in self.fitted] for one in (
+                self.sides, self.maps))
+            segments, self._apart = ([one.of_joints(self.fitted) for one in several]
+                                     for several in (segments, self._apart))
+        arm, half, self.step = self.robot.arm, half[self.fitted], self._steps[self.fitted]
+        self.starts = [start_of(self.maps[k], travel(segments, k), self.step[k],
+                                robot.joints[j], recordings[0].source,
+                                self.arm_fit.friction[j] if whole else None)
+                       for k, j in enumerate(self.fitted)]
         coulomb = np.array([start.forward.coulomb for start in self.starts])
+        extras = self.arm_fit.extras() if whole else (None,) * robot.n_joints
         self.bundle = Bundle(
             tuple(segments), arm, period, half,
             observer_bandwidth(arm, coulomb, half, self.step / 3.0, period),
-            self.arm_fit.extras() if whole else (None,) * robot.n_joints)
+            tuple(extras[j] for j in self.fitted))
         self.choices = ()
-        self._sources = [take.source for take, _ in takes]
 
-    @property
-    def per_load(self) -> np.ndarray:
-        """Return the friction per torque carried (n,), 0 where it does not grow."""
-        per_load = self.arm_fit.loaded if self.arm_fit else np.zeros(self.robot.n_joints)
-        return per_load + (self.differences.loaded if self.differences else 0.0)
+    def _joints_to_fit(self, segments):
+        """
+        Return the numbers of the joints whose friction is fitted; a warning names the others.
+
+        An arm in space is often recorded joint by joint. Links of other arms are never left out.
+        """
+        joints = range(self.described.n_joints)
+        width = np.array([travel(segments, j) for j in joints])
+        moved = [j for j in joints if moves(self.maps[j]) and width[j] > _HELD * width.max()]
+        if self.described.arm.frames is None or len(moved) in (0, len(joints)):
+            return list(joints)
+        others = ', '.join(self.described.joints[j] for j in joints if j not in moved)
+        warnings.warn(f'{", ".join(self._sources)}: {others} hardly move in these recordings: '
+                      'their friction stays as described, a placeholder where nothing was stated',
+                      stacklevel=4)
+        return moved
+
+    def with_friction(self, robot, fits) -> RobotParams:
+        """Return a robot with the friction of JointFits, and what grows with the load."""
+        per_load = self.arm_fit.loaded if self.arm_fit else np.zeros(robot.n_joints)
+        return with_load_friction(
+            replace(robot, friction=robot.friction.with_joints(
+                self.fitted, _friction_params(fits))),
+            per_load + (self.differences.loaded if self.differences else 0.0), self._steps)
 
     def found_beside(self, joints) -> dict:
         """Return ``constants`` and ``loads`` of the Identification."""
@@ -217,7 +250,7 @@ class Data:
     def fit(self, options, say) -> list:
         """Return a JointFit per joint."""
         extras = [np.zeros(len(self.arm_fit.units[j]) if self.arm_fit else 0)
-                  for j in range(self.robot.n_joints)]
+                  for j in self.fitted]
         fits = fit_all(self.bundle, self.starts, extras, blocks=options.blocks, say=say)
         say('comparing with a fit of the torque')
         self.choices = _per_joint(len(fits), lambda j: choose_fit(
@@ -226,11 +259,11 @@ class Data:
             self.choices, self.starts, strict=True)]
 
     def results(self, fits) -> tuple:
-        """Return a JointResult per joint, and the robot with the arm found."""
+        """Return a JointResult per joint that was fitted, and the robot with the arm found."""
         thetas = [fit.theta for fit in fits]
         spreads = _per_joint(len(fits), lambda j: self.choices[j].spread or spread_of(
             Objective(self.bundle, j, thetas), fits[j]))
-        further, robot = [()] * len(fits), self.described
+        further, robot = [()] * self.described.n_joints, self.described
         if self.arm_fit and self.arm_fit.final:
             further = self.arm_fit.final
         elif self.arm_fit:
@@ -241,6 +274,9 @@ class Data:
         if self.differences:
             further = [(*own, *rows) for own, rows in zip(further, difference_estimates(
                 self.differences, robot.joints, self._sources), strict=True)]
+        others = [row for j, rows in enumerate(further) if j not in self.fitted for row in rows]
+        further = [further[j] for j in self.fitted]
+        further[0] = (*further[0], *others)  # of the arm, and of links that did not move
         return tuple(_per_joint(len(fits), lambda j: self._result(
             j, fits, spreads[j], further[j]))), robot
 

@@ -140,7 +140,8 @@ def _uncertainty_of_arm(identification):
     What stays as it was described, the data being no better, stays as sure as that is.
     """
     values, arm = {}, identification.robot.arm
-    for j, result in enumerate(identification.joints):
+    for result in identification.joints:
+        j = identification.robot.joints.index(result.joint)
         named = {one.name: one for one in result.estimates}
         found = {kind: named.get(f'arm.{result.joint}.{name}') for kind, name in _OF_ARM.items()}
         sizes = {kind: np.inf if one.flags else spread(one) / CONFIDENT

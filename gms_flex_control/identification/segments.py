@@ -55,6 +55,12 @@ class Segment:
     taken: np.ndarray | float = 0.0  # (T, n), what was subtracted from the drive's torque [N m]
     first_block: int = 0      # number of its first block of time among those of all segments
 
+    def of_joints(self, columns: list) -> 'Segment':
+        """Return the Segment of some joints (list of int), which do not act on each other."""
+        taken = np.broadcast_to(self.taken, self.torque.shape)[:, columns]
+        return replace(self, taken=taken, **{name: getattr(self, name)[:, columns] for name in (
+            'angle', 'rate', 'acceleration', 'torque', 'tested')})
+
 
 def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
     """

@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import NamedTuple
 
 from gms_flex_control.errors import ParameterError
@@ -99,6 +100,26 @@ class FrictionParams:
         """Return the friction of some joints (list of int), in that order; one may come twice."""
         return of_joints(self, columns, forward=of_joints(self.forward, columns),
                          backward=of_joints(self.backward, columns))
+
+    def with_joints(self, columns: list, other: 'FrictionParams') -> 'FrictionParams':
+        """Return it with the friction of some joints (list of int) that of ``other``, in order."""
+        n = len(self.attraction)
+        order = [n + columns.index(j) if j in columns else j for j in range(n)]
+
+        def chosen(name, of=lambda one: one):
+            mine, theirs = (getattr(of(one), name) for one in (self, other))
+            if mine.ndim == 2:  # blocks at the end that carry nothing
+                most = max(mine.shape[1], theirs.shape[1])
+                mine, theirs = (np.pad(one, ((0, 0), (0, most - one.shape[1])))
+                                for one in (mine, theirs))
+            return np.concatenate([mine, theirs])[order]
+        sides = {way: StribeckParams(**{
+            name: chosen(name, attrgetter(way)) for name in STRIBECK})
+            for way in ('forward', 'backward')}
+        weight = chosen('weight')
+        used = 1 + np.flatnonzero(weight.any(axis=0)).max()
+        return FrictionParams(**sides, stiffness=chosen('stiffness')[:, :used],
+                              weight=weight[:, :used], attraction=chosen('attraction'))
 
 
 WHOLE_ARM = 'arm'
