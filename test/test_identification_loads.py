@@ -283,8 +283,8 @@ def test_an_arm_is_identified_that_was_recorded_joint_by_joint():
     coulomb, viscous = friction_of(robot.arm)
     for own, other in ((found.robot.friction.forward, robot.friction.forward),
                        (found.robot.friction.backward, robot.friction.backward)):
-        np.testing.assert_allclose(own.coulomb[[0, 3]], coulomb[[0, 3]], rtol=0.1)
-        np.testing.assert_allclose(own.viscous[[0, 3]], viscous[[0, 3]], rtol=0.1)
+        np.testing.assert_allclose(own.coulomb[[0, 3]], coulomb[[0, 3]], rtol=0.03)
+        np.testing.assert_allclose(own.viscous[[0, 3]], viscous[[0, 3]], rtol=0.03)
         np.testing.assert_array_equal(own.coulomb[[1, 2, 4, 5]], other.coulomb[[1, 2, 4, 5]])
     values = friction_values(found)
     assert 'uncertainty.joint4.level' in values

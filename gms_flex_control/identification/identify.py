@@ -55,6 +55,7 @@ from gms_flex_control.identification.segments import (
     rigid_where,
     segments_of,
     travel,
+    while_moved,
 )
 from gms_flex_control.identification.selection import CANDIDATES
 from gms_flex_control.identification.uncertainty import (
@@ -67,7 +68,6 @@ from gms_flex_control.params.robot import FrictionParams, RobotParams, StribeckP
 import numpy as np
 
 _SAME_PERIOD = 0.01   # relative difference of sample periods of recordings fitted together
-_HELD = 0.01          # of the widest travel: a joint that moves less was held, and gave way a bit
 _CURVE_POINTS = 80
 _VELOCITIES = 200
 
@@ -188,12 +188,13 @@ class Data:
                                        self.differences and self.differences.loaded)
         if whole:
             parts = [[self.arm_fit.cleared(one) for one in part] for part in parts]
-        segments = numbered([one for part in parts[:len(takes)] for one in part], period)
-        self._apart = [one for part in parts[len(takes):] for one in part]
+        segments = numbered(while_moved([one for part in parts[:len(takes)] for one in part]),
+                            period)
+        self._apart = while_moved([one for part in parts[len(takes):] for one in part])
         self._steps = np.array([resolution(segments, j, 2.0 * half[j]) for j in joints])
         self.maps = [friction_map(segments, self.robot.arm, j, period, half[j]) for j in joints]
         self._sources = [take.source for take, _ in takes]
-        self.fitted = self._joints_to_fit(segments)  # all that follows is of these joints
+        self.fitted = self._joints_to_fit()  # all that follows is of these joints
         if len(self.fitted) < robot.n_joints:
             self.robot = only_joints(self.robot, [robot.joints[j] for j in self.fitted])
             self.sides, self.maps = ([one[j] for j in self.fitted] for one in (
@@ -213,15 +214,14 @@ class Data:
             tuple(extras[j] for j in self.fitted))
         self.choices = ()
 
-    def _joints_to_fit(self, segments):
+    def _joints_to_fit(self):
         """
         Return the numbers of the joints whose friction is fitted; a warning names the others.
 
         An arm in space is often recorded joint by joint. Links of other arms are never left out.
         """
         joints = range(self.described.n_joints)
-        width = np.array([travel(segments, j) for j in joints])
-        moved = [j for j in joints if moves(self.maps[j]) and width[j] > _HELD * width.max()]
+        moved = [j for j in joints if moves(self.maps[j])]
         if self.described.arm.frames is None or len(moved) in (0, len(joints)):
             return list(joints)
         others = ', '.join(self.described.joints[j] for j in joints if j not in moved)

@@ -32,6 +32,7 @@ _DAMPING_WINDOW = 0.05  # for the rate of the spring deflection [s]
 _THIN = 20             # samples from one pose to the next whose inertia is looked at
 _EVEN = 0.02           # stamps within this part of a period of an even grid count as even
 _TURNING = 0.02        # of the usual rate: so slow is a reversal
+_HELD, _MOVED = 0.02, 0.1  # of its widest travel: less is a joint held, more is one moved
 _STANDING = 3.0        # encoder steps per 50 ms: slower is no motion for a fit of the torque
 
 
@@ -331,6 +332,21 @@ def travel(segments: Sequence[Segment], joint: int) -> float:
     """Return the range of a joint's angle [rad]."""
     return float(max(np.nanmax(segment.angle[:, joint]) for segment in segments)
                  - min(np.nanmin(segment.angle[:, joint]) for segment in segments))
+
+
+def while_moved(segments: Sequence[Segment]) -> list[Segment]:
+    """
+    Return segments in which a joint is tested only if it is not held while others are moved.
+
+    What it gives way then says nothing of its friction. Where all are held, presliding is tested.
+    """
+    if not segments:
+        return []
+    width = np.array([[travel([one], j) for j in range(one.torque.shape[1])] for one in segments])
+    share = width / np.maximum(width.max(axis=0), _MOVED * width.max() + 1e-300)
+    held = (share < _HELD) & (share > _MOVED).any(axis=1)[:, None]
+    return [replace(one, tested=one.tested & ~own) for one, own in zip(
+        segments, held, strict=True)]
 
 
 def smooth_angle(segment: Segment, period: float) -> np.ndarray:
