@@ -74,7 +74,7 @@ def test_friction_by_load_turns_over_the_reach_that_is_there(factor):
         true, values=(0.8 * true.values[0], factor * true.values[1]))),
         np.zeros(len(likelihood.sd)))
     for _ in range(2):
-        model, _ = refitted(likelihood, model, likelihood.columns(model.robot, model.x))
+        model, _ = refitted(likelihood, model, likelihood.columns(model))
     assert model.robot.effects[0].values == pytest.approx(true.values, rel=0.2)
 
 
