@@ -261,8 +261,10 @@ def low_pass(values: np.ndarray, window: int) -> np.ndarray:
     `low_pass_bandwidth`, is where the local cubic fit leaves motion as it is. Torque and model
     compared behind it differ by the model, not by the filter.
     """
-    for _ in range(4):
-        values = uniform_filter1d(values, max(window // 2, 1), axis=0, mode='nearest')
+    size = max(window // 2, 1)
+    for k in range(4):  # of an even size, each is half a sample late or early: in turn
+        values = uniform_filter1d(values, size, axis=0, mode='nearest',
+                                  origin=0 if size % 2 else -(k % 2))
     return values
 
 

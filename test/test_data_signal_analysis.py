@@ -1,0 +1,27 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Filters that recordings are looked at through."""
+
+from gms_flex_control.data.signal_analysis import low_pass, low_pass_bandwidth
+import numpy as np
+import pytest
+
+
+@pytest.mark.parametrize('window', range(2, 16))
+def test_a_low_pass_has_no_phase(window):
+    """What it makes of a pulse is symmetric about it, and a line stays where it is."""
+    pulse = np.zeros(101)
+    pulse[50] = 1.0
+    seen = low_pass(pulse, window)
+    np.testing.assert_allclose(seen, seen[::-1], atol=1e-15)
+    assert seen.sum() == pytest.approx(1.0)
+    line = np.linspace(-1.0, 3.0, 101)
+    np.testing.assert_allclose(low_pass(line, window)[30:-30], line[30:-30], atol=1e-13)
+
+
+def test_a_low_pass_has_lost_three_decibels_at_its_bandwidth():
+    time = np.arange(4000) * 1e-3
+    wave = np.sin(2.0 * np.pi * low_pass_bandwidth(20, 1e-3) * time)
+    ratio = np.std(low_pass(wave, 20)[500:-500]) / np.std(wave[500:-500])
+    assert ratio == pytest.approx(np.sqrt(0.5), rel=0.02)
