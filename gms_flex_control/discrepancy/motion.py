@@ -21,7 +21,7 @@ from gms_flex_control.effects.base import Scales, Travel
 import numpy as np
 from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
 
-WORKING_PERIOD = 6e-3  # sample at which the equations are formed, if the recording is finer [s]
+WORKING_PERIOD = 4e-3  # sample at which the equations are formed, if the recording is finer [s]
 _STANDING = 0.2        # a link stands that its encoder does not see move for so long [s]
 _ONE_COUNT = 1.5       # counts: the reading goes to and fro between two
 _DEVIATIONS = 6.0      # of noise: so far apart readings of a link at rest lie
