@@ -27,7 +27,7 @@ from gms_flex_control.identification.output import report_json
 from gms_flex_control.params.arm import ArmParams, in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.reports import comparison_page, figures, tuning_page
+from gms_flex_control.reports import comparison_page, pictures, tuning_page
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.discrepancy_values import report_values
 from gms_flex_control.reports.figures import stacked_panels, svg
@@ -94,7 +94,7 @@ class IdentificationResult(Result, Identification):
 
     def plot_joint(self, joint: str) -> Figure:
         """Return friction over velocity of a joint, measured and fitted (Fig. 3)."""
-        return figures.map_figure(next(one for one in self.joints if one.joint == joint))
+        return pictures.map_figure(next(one for one in self.joints if one.joint == joint))
 
     def _rows(self) -> list[dict[str, Any]]:
         return [{'joint': joint.joint, 'parameter': one.name, 'unit': one.unit,
@@ -118,7 +118,7 @@ class DiscrepancyResult(Result, Discrepancy):
         """Return the gap on held-out data: before, re-tuned, with what was found, floor."""
         if self.gap is None:
             raise ConfigError(f'there is no gap to be drawn: {self.words}')
-        return figures.gap_figure(self.gap)
+        return pictures.gap_figure(self.gap)
 
     def _repr_html_(self) -> str:
         return super()._repr_html_() if self.gap is not None else html.escape(self.words)

@@ -19,12 +19,12 @@ from gms_flex_control.reports.discrepancy_values import (
     over_values,
     plain,
 )
-from gms_flex_control.reports.figures import (
+from gms_flex_control.reports.figures import save_figure
+from gms_flex_control.reports.pictures import (
     evidence_figure,
     gap_figure,
     maps_figure,
     over_figure,
-    save_figure,
 )
 import numpy as np
 

@@ -11,8 +11,8 @@ import warnings
 
 from gms_flex_control.identification.outcome import FrictionMap, Interval
 from gms_flex_control.reports.answers import identification_text
-from gms_flex_control.reports.figures import loops_figure, map_figure
 from gms_flex_control.reports.identification_page import write_identification_report
+from gms_flex_control.reports.pictures import loops_figure, map_figure
 from html_page import Page
 from identified import ERRORS, identification
 import numpy as np

@@ -9,7 +9,7 @@ import sys
 from typing import NamedTuple
 
 from gms_flex_control.answer import Answer, command, Number
-from gms_flex_control.cli.models import read_experiment_of
+from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.robots import controller_of
 from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
 from gms_flex_control.compiled import in_one_thread
@@ -35,7 +35,8 @@ from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import together
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
-from gms_flex_control.reports.figures import next_figure, save_figure, separated_figure
+from gms_flex_control.reports.figures import save_figure
+from gms_flex_control.reports.pictures import next_figure, separated_figure
 from gms_flex_control.schema.files import load_controller, load_limits, load_robot, save_values
 import numpy as np
 

@@ -55,7 +55,7 @@ _ANALYSE = Verb(
     ('analyse sinusoid_none sinusoid_gms --out results',
      'analyse before after --label sinusoid_none --label sinusoid_gms --out results'))
 _CHECK_GAINS = Verb(
-    'check-gains', 'gains.check_gains', 'conditions on the gains: value, limit, verdict',
+    'check-gains', 'tune.check_gains', 'conditions on the gains: value, limit, verdict',
     'Check the gains against Eq. (39), all rows, against the exact condition per joint, and bound '
     'the residual set (43). Exit code 1 if a condition fails.', (ROBOT, CONTROLLER, JSON),
     ('check-gains',
@@ -131,7 +131,7 @@ _VIEW = Verb(
         option('--open', action='store_true', help='open the page in a browser')),
     ('view my_bag --robot config/robot.yaml', 'view sinusoid_gms sinusoid_none', 'view live'))
 _IDENTIFY = Verb(
-    'identify', 'models.identify_bags',
+    'identify', 'identify_bags.identify_verb',
     'friction parameters from bags, with intervals and a report',
     'Fit the friction of a robot to bags of identification_node, of `ros2 bag record` or of '
     'import-csv. Writes friction.yaml, which plant and controller take as it is, report.json, '
@@ -155,7 +155,7 @@ _IDENTIFY = Verb(
      'identify first second --robot robot.yaml --holdout third --out results',
      'identify my_bag --out results'))
 _DISCREPANCY = Verb(
-    'discrepancy', 'models.find_missing',
+    'discrepancy', 'discrepancy_of_bags.discrepancy_verb',
     'find what a model lacks, name it, add it, show the gap shrink',
     'Compare a model with bags of its robot, recorded or simulated; name the physical effects it '
     'lacks, write them into DIR/robot.yaml, and show on held-out data how much better it '
@@ -269,7 +269,7 @@ _PLAN = Verb(
     ('plan --robot examples/industrial_arm/robot.yaml --out plan',
      'plan --robot robot.yaml --limits bridge.yaml --acceleration 10 --out plan'))
 _TUNE = Verb(
-    'tune', 'gains.tune', 'gains for a robot: proposed, judged, tried, verified',
+    'tune', 'tune.tune', 'gains for a robot: proposed, judged, tried, verified',
     'Propose the stiffest gains of the cascade controller that keep margins, encoder noise and '
     'the conditions (39), show margins and expected tracking error, and write controller.yaml. '
     'Exit code 1 if no gains meet the requirements, or a robot drawn by --verify is lost.', (
@@ -301,7 +301,7 @@ _TUNE = Verb(
      'tune --robot robot.yaml results/friction.yaml --torque-limit 2 --delay 1 --verify 200 '
      '--out tuned'))
 _COMPARE = Verb(
-    'compare', 'gains.compare', 'friction compensations side by side',
+    'compare', 'compare.compare_verb', 'friction compensations side by side',
     'Compare eight ways to compensate friction: none, static Stribeck, LuGre, four kinds of GMS '
     '(of the paper, improved, of the desired motion, adaptive) and a disturbance observer. Each '
     'drives the plant in simulation, also with friction, K and M that differ from the belief, '

@@ -18,8 +18,9 @@ from gms_flex_control.identification.outcome import (
     STANDINGS,
 )
 from gms_flex_control.reports.answers import held_out_rows, identification_answer, worst_joint
-from gms_flex_control.reports.figures import file_stem, loops_figure, map_figure, save_figure
+from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.page import decimate, Report, Series
+from gms_flex_control.reports.pictures import loops_figure, map_figure
 import numpy as np
 
 MOST_TRACES = 6          # of one joint on the page
