@@ -17,9 +17,7 @@ from bench.speed.timing import Measurement
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import executable
-from gms_flex_control.experiment.identification_plan import (
-    plan_identification,
-)
+from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.file_io import share_path
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.friction_map import friction_map, start_of
