@@ -8,21 +8,16 @@ import signal
 import subprocess
 import sys
 
+from gms_flex_control.experiment.driven import module_of
 import launch_stand_in
 
 PACKAGE = 'gms_flex_control'
 
 
-def command_of(name):
-    """Return the command that starts one of the package's executables from its sources."""
-    module = 'cli.main' if name == 'gms_flex' else f'nodes.{name}'
-    return [sys.executable, '-m', f'{PACKAGE}.{module}']
-
-
 def run(package, executable, *words):
     """Do ``ros2 run``: return the exit code of the node."""
     assert package == PACKAGE
-    return ended([subprocess.Popen([*command_of(executable), *words])])
+    return ended([subprocess.Popen([*module_of(executable), *words])])
 
 
 def ended(processes):
@@ -40,7 +35,7 @@ def launch(package, file, *given):
     spec.loader.exec_module(module)
     found = launch_stand_in.started(module.generate_launch_description(),
                                     dict(word.split(':=', 1) for word in given))
-    return ended([subprocess.Popen([*command_of(one.executable), *one.words, *_ros_words(one)])
+    return ended([subprocess.Popen([*module_of(one.executable), *one.words, *_ros_words(one)])
                   for one in found])
 
 

@@ -176,17 +176,6 @@ def test_a_robot_that_stops_speaking_is_zero_torque(lab):
         thaw()
 
 
-def test_another_program_that_sends_efforts_is_told_and_the_guardian_has_our_priority(tmp_path):
-    with bridge_lab(tmp_path, robot=False, realtime_priority=1) as lab:
-        lab.until(lambda: 'ZERO' in lab.plant.printed())
-        lab.speak(Float64MultiArray, EFFORTS)
-        lab.until(lambda: f'1 more publish on {EFFORTS}: ' in lab.plant.printed())
-        children = Path(f'/proc/{lab.plant.process.pid}/task').glob('*/children')
-        guardian, = {int(pid) for file in children for pid in file.read_text().split()}
-        lab.until(lambda: 'no realtime_priority 1' in lab.plant.printed()
-                  or os.sched_getscheduler(guardian) == os.SCHED_FIFO)
-
-
 def test_the_last_word_is_zero(lab):
     move(lab)
     assert any(lab.efforts.last)
@@ -232,10 +221,15 @@ def test_an_exception_is_one_traceback_zero_torque_and_a_fault(tmp_path):
 
 
 def test_efforts_go_out_as_joint_states_as_well_and_end_in_zero(tmp_path):
-    """By the names of the robot's actuators; the guardian ends them as it ends the array."""
+    """
+    By the names of the robot's actuators; the guardian ends them as it ends the array.
+
+    It has the priority of the bridge, which reports another program that sends efforts.
+    """
     mapping = MAPPING.replace('effort: {sign', 'effort: {name: m1, sign').replace(
         'motor: {name: m2}', 'motor: {name: m2}\n    effort: {name: m2}')
-    with bridge_lab(tmp_path, mapping=mapping, bridge__command_type='both') as lab:
+    with bridge_lab(tmp_path, mapping=mapping, bridge__command_type='both',
+                    realtime_priority=1) as lab:
         commands = lab.listen(JointState, '/robot/joint_commands')
         lab.until(lambda: lab.efforts and lab.states)
         move(lab)
@@ -246,6 +240,12 @@ def test_efforts_go_out_as_joint_states_as_well_and_end_in_zero(tmp_path):
         # either topic may lose a message in a process that is late
         assert np.mean([tuple(command.effort) in sent for command in named]) > 0.8
         assert all(to_nanoseconds(command.header.stamp) > 0 for command in named)
+        lab.speak(Float64MultiArray, EFFORTS)
+        lab.until(lambda: f'1 more publish on {EFFORTS} and ' in lab.plant.printed())
+        children = Path(f'/proc/{lab.plant.process.pid}/task').glob('*/children')
+        guardian, = {int(pid) for file in children for pid in file.read_text().split()}
+        lab.until(lambda: 'no realtime_priority 1' in lab.plant.printed()
+                  or os.sched_getscheduler(guardian) == os.SCHED_FIFO)
         lab.plant.process.send_signal(signal.SIGKILL)
         lab.until(lambda: not any(commands[-1].effort))
         lab.plant.kill()

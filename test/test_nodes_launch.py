@@ -12,7 +12,7 @@ import sys
 
 from gms_flex_control import nodes
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.experiment.driven import private_environment
+from gms_flex_control.experiment.driven import module_of, private_environment
 from gms_flex_control.file_io import read_yaml
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.schema.keys import known_keys
@@ -214,9 +214,7 @@ def test_the_real_launch_runs_the_loop_in_a_namespace(tmp_path, monkeypatch):
     folder = tmp_path / 'lib' / 'gms_flex_control'
     folder.mkdir(parents=True)
     for name in (*LOOP, 'gms_flex'):
-        module = 'cli.main' if name == 'gms_flex' else f'nodes.{name}'
-        (folder / name).write_text(
-            f'#!/bin/sh\nexec {sys.executable} -m gms_flex_control.{module} "$@"\n')
+        (folder / name).write_text(f'#!/bin/sh\nexec {" ".join(module_of(name))} "$@"\n')
         (folder / name).chmod(stat.S_IRWXU)
     monkeypatch.setenv('AMENT_PREFIX_PATH', os.pathsep.join(
         [str(tmp_path), *filter(None, [os.environ.get('AMENT_PREFIX_PATH')])]))

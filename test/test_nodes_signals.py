@@ -65,8 +65,8 @@ def test_nodes_that_wait_for_others_end_as_well(tmp_path):
     with Lab(tmp_path) as lab:
         nodes = [lab.start(name, **({'wait_for_subscribers': 5} if name == 'plant_node' else {}))
                  for name in NODES]
+        lab.until(lambda: all('[INFO]' in node.printed() for node in nodes))
         for node in nodes:
-            lab.until(lambda node=node: '[INFO]' in node.printed())
             assert node.signal(INT, TERM) == 0
             assert 'Traceback' not in node.printed() and 'rror' not in node.printed()
 
@@ -99,11 +99,9 @@ def test_the_first_start_says_why_it_takes_long_and_can_be_ended(tmp_path):
 
 def test_help_says_what_a_node_is_and_how_it_is_started(tmp_path):
     with Lab(tmp_path) as lab:
-        nodes = {name: lab.run([*executable(name), '--help'], name)
-                 for name in ('plant_node', 'loop_node')}
-        for name, node in nodes.items():
-            assert node.wait() == 0
-            assert f'usage: ros2 run gms_flex_control {name} --ros-args' in node.printed()
+        node = lab.run([*executable('loop_node'), '--help'], 'loop_node')
+        assert node.wait() == 0
+        assert 'usage: ros2 run gms_flex_control loop_node --ros-args' in node.printed()
 
 
 def test_help_that_nobody_reads_to_its_end_is_no_error():

@@ -11,6 +11,8 @@ from functools import wraps
 from importlib import import_module
 import sys
 
+from gms_flex_control.nodes import start
+
 SENTENCE = 'broken for the fault table'
 
 
@@ -44,7 +46,7 @@ def main():
     node, place, calls = sys.argv[1:4]
     del sys.argv[1:4]
     break_function(place, int(calls))
-    return import_module(f'gms_flex_control.nodes.{node}').main()
+    return start.run(node)
 
 
 if __name__ == '__main__':

@@ -52,7 +52,7 @@ PLACES = (
     (CONTROLLER, 'controller_node', f'{_NODES}.parameters:NodeParameters._as_double', 0,
      _set('gains__joint1__kd_link', 0.7)),
     (CONTROLLER, 'controller_node', f'{_NODES}.health:mismatches', 1, None),
-    (TRAJECTORY, 'trajectory_node', f'{_NODES}.reference_motion:Links.read', _CALLS, None),
+    (TRAJECTORY, 'trajectory_node', f'{_NODES}.reference_motion:LinkStates.read', _CALLS, None),
     (TRAJECTORY, 'trajectory_node', f'{_TRAJECTORY}:TrajectoryNode._publish', _CALLS, None),
     (TRAJECTORY, 'trajectory_node', f'{_TRAJECTORY}:TrajectoryNode._choose', 0,
      _set('trajectory__joint1__amplitude', 0.2)),

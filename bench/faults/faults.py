@@ -3,9 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`python -m bench faults`: every fault tried on the installed nodes, as a table."""
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from functools import partial
 import json
+import os
 from pathlib import Path
 import sys
 from tempfile import TemporaryDirectory
@@ -71,15 +73,24 @@ def run(args):
 
 def _priority(asked):
     """Return the priority that the nodes get (int)."""
-    scheduling = import_ros('gms_flex_control.nodes.process')
     if asked is None:
-        return _PRIORITY if scheduling.is_permitted(_PRIORITY) else 0
+        return _PRIORITY if is_permitted(_PRIORITY) else 0
     if not 0 <= asked <= 99:
         raise ConfigError(f'--priority {asked}: expected 1 to 99, or 0 for none')
-    if asked and not scheduling.is_permitted(asked):
+    if asked and not is_permitted(asked):
         raise ConfigError(f'--priority {asked}: the system does not permit it; '
-                          f'{scheduling.WAY_OUT}, or give 0')
+                          f'{import_ros("gms_flex_control.nodes.process").WAY_OUT}, or give 0')
     return asked
+
+
+def is_permitted(priority) -> bool:
+    """Return whether a thread of this process may take a priority (1 to 99) of SCHED_FIFO."""
+    try:
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(os.sched_setscheduler, 0, os.SCHED_FIFO, os.sched_param(priority)).result()
+    except (OSError, AttributeError):
+        return False
+    return True
 
 
 def _soaked(args, priority):

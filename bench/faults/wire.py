@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Messages as a bench makes and reads them, right ones and wrong ones."""
 
-from gms_flex_control.nodes.messages import read_stamp, set_stamp, to_nanoseconds
+from gms_flex_control.nodes.messages import read_marks, set_stamp, to_nanoseconds
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
@@ -31,7 +31,7 @@ def stamp_of(message):
     """Return the stamp of a JointState, or that in the labels of an array [ns]."""
     if hasattr(message, 'header'):
         return to_nanoseconds(message.header.stamp)
-    return read_stamp(message)
+    return read_marks(message)[0]
 
 
 def as_value(value):

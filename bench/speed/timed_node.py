@@ -8,13 +8,12 @@ A node with a simulated robot whose samples are timed.
 writes what the plant measured to FILE.
 """
 
-from importlib import import_module
 import json
 import sys
 import time
 
 from gms_flex_control.file_io import write_text
-from gms_flex_control.nodes import plant_node, simulated_robot
+from gms_flex_control.nodes import plant_node, simulated_robot, start
 import numpy as np
 
 _LONGEST = 3600 * 10**9  # that is measured; later samples are not [ns]
@@ -84,7 +83,7 @@ def main() -> int:
     node, path = sys.argv[1:3]
     del sys.argv[1:3]
     plant_node.SimulatedRobot = timed(path)
-    return import_module(f'gms_flex_control.nodes.{node}').main()
+    return start.run(node)
 
 
 if __name__ == '__main__':

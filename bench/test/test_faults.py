@@ -9,6 +9,7 @@ import os
 import sys
 
 from bench.__main__ import main
+from bench.faults.faults import is_permitted
 import pytest
 
 # other processes of the machine can delay real nodes beyond any bound
@@ -19,7 +20,6 @@ bench = pytest.importorskip('bench.faults.node_bench')
 exceptions = pytest.importorskip('bench.faults.exceptions')
 table = pytest.importorskip('bench.faults.table')
 soak = pytest.importorskip('bench.faults.soak')
-scheduling = pytest.importorskip('gms_flex_control.nodes.process')
 
 # rows that no other test tries on processes, with the fewest tries; the verb has all of them
 ROWS = {'dead-controller': 1, 'silence': 1, 'clocks': 1, 'numbers': 2, 'two-trajectories': 1,
@@ -44,8 +44,9 @@ def test_where_the_bench_raises_there_is_a_function(place):
 def test_a_node_that_lacks_a_guard_fails_its_row(tmp_path, monkeypatch):
     """It never notices that the states have stopped."""
     sound = bench.executable
-    code = ('from gms_flex_control.nodes.controller_node import ControllerNode, main; '
-            'ControllerNode._watch = lambda self: None; main()')
+    code = ('from gms_flex_control.nodes import controller_node, start; '
+            'controller_node.ControllerNode._watch = lambda self: None; '
+            'start.run("controller_node")')
     monkeypatch.setattr(bench, 'executable', lambda node: (
         [sys.executable, '-c', code] if node == 'controller_node' else sound(node)))
     row = table.try_fault(table.FAULTS['silence'], 1, tmp_path)
@@ -56,12 +57,12 @@ def test_a_node_that_lacks_a_guard_fails_its_row(tmp_path, monkeypatch):
 def test_a_priority_that_is_not_permitted_is_not_taken(monkeypatch, capsys):
     def refuse(*_):
         raise PermissionError(1, 'Operation not permitted')
-    monkeypatch.setattr(scheduling.os, 'sched_setscheduler', refuse)
+    monkeypatch.setattr(os, 'sched_setscheduler', refuse)
     assert main(['faults', '--priority', '20']) == 2
     assert 'limits.conf' in capsys.readouterr().err
 
 
 def test_asking_for_a_priority_leaves_this_process_as_it_is():
-    scheduling.is_permitted(50)
+    is_permitted(50)
     assert {os.sched_getscheduler(int(thread)) for thread in os.listdir('/proc/self/task')} == {
         os.SCHED_OTHER}

@@ -193,9 +193,14 @@ def pack_supply(voltage, stamp) -> bytes:
 
 def pack_phase(phase) -> bytes:
     """Return a Phase as CDR bytes, its ``time_ns`` as the stamp it holds from."""
-    labels = (f'{STAMP_LABEL}{phase.time_ns}', f'phase:{phase.phase}', f'joint:{phase.joint}',
-              f'step:{phase.step}')
-    return pack_multi_array([(label, 1, 1) for label in labels], [float(phase.value)])
+    return pack_multi_array([(label, 1, 1) for label in phase_labels(phase)],
+                            [float(phase.value)])
+
+
+def phase_labels(phase) -> tuple:
+    """Return what the layout of a message says of a Phase; its value is the number in it."""
+    return (f'{STAMP_LABEL}{phase.time_ns}', f'phase:{phase.phase}', f'joint:{phase.joint}',
+            f'step:{phase.step}')
 
 
 def _labels(stamp):

@@ -15,13 +15,12 @@ import sys
 import time
 
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.recording import Recording, Topics
 from gms_flex_control.errors import GmsFlexError
 
 NODES = ('plant_node', 'controller_node', 'trajectory_node')
 _STOP_BOUND = 10.0    # a process has so long to end after SIGINT [s]
-TOPICS = ('/joint_states', '/effort_controller/commands', '/reference',
-          '/cascade_controller/state')
+TOPICS = Topics()[:4]  # all but the voltage of the supply
 LISTENERS = 3        # controller, trajectory and recorder or identification
 SLOWEST_STEPS = 100  # simulated samples per second on the slowest machine we wait for
 START_BOUND = 120.0  # for processes to start, compiling included [s]
@@ -35,14 +34,19 @@ def executable(name: str) -> list[str]:
     """
     Return the command (list of str) that starts ``plant_node``, ``gms_flex`` or the like.
 
-    It is the console script beside this Python or on PATH; else its module.
+    It is the console script beside this Python or on PATH; else that of `module_of`.
     """
     beside = Path(sys.executable).parent / name
     found = str(beside) if beside.is_file() else shutil.which(name)
     if found:
         return [found]
-    module = 'cli.main' if name == 'gms_flex' else f'nodes.{name}'
-    return [sys.executable, '-m', f'gms_flex_control.{module}']
+    return module_of(name)
+
+
+def module_of(name: str) -> list[str]:
+    """Return the command that starts an executable from its sources."""
+    words = ['cli.main'] if name == 'gms_flex' else ['nodes.start', name]
+    return [sys.executable, '-m', f'gms_flex_control.{words[0]}', *words[1:]]
 
 
 def ros_arguments(files=(), parameters: dict | None = None) -> list[str]:

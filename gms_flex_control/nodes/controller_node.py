@@ -4,7 +4,6 @@
 """The cascade controller with friction observer as a ROS 2 node: one command per joint state."""
 
 import os
-import sys
 import time
 
 from gms_flex_control.control.feedforward import as_parameters, compensated
@@ -12,22 +11,18 @@ from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.following import Follower, Reference
 from gms_flex_control.nodes.health import Health, WARN
-from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.keys import controller_keys, controller_node_keys, robot_keys
 import numpy as np
-from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-_LONGEST_DELAY = round(0.1 * NANOSECONDS)  # a state older than the last by less was overtaken
 _LONGEST_SILENCE = 0.03  # of the joint states; then zero torque, real time only [s]
 _ZEROS = 10          # sent one silence apart while it lasts: one may be lost
-_LONGEST_GOODBYE = Duration(seconds=0.5)  # a subscriber may be frozen
 _WARN_PERIOD = 5.0   # [s]
 
 
@@ -114,7 +109,7 @@ class _Outputs:
     def finish(self, stamp) -> None:
         """Leave zero on the wire, and stay until those who acknowledge have it."""
         self.zero(stamp)
-        self._command_pub.wait_for_all_acked(_LONGEST_GOODBYE)
+        self._command_pub.wait_for_all_acked(process.GOODBYE)
 
 
 class ControllerNode(Node):
@@ -212,9 +207,8 @@ class ControllerNode(Node):
             self.get_logger().info('waiting for a reference; is trajectory_node running?',
                                    throttle_duration_sec=_WARN_PERIOD, skip_first=True)
             return False
-        if (not self._lockstep and last is not None and not self._silence.zeros
-                and 0 < last - stamp <= _LONGEST_DELAY):
-            return False  # an old one that came late, not one of another clock
+        if not self._lockstep and not self._silence.zeros and messages.is_overtaken(stamp, last):
+            return False
         try:
             self._reader.read(message, self.follower.controller.measured)
         except messages.RefusedError as error:
@@ -268,12 +262,3 @@ class ControllerNode(Node):
     def finish(self) -> None:
         """Leave zero torque on the wire."""
         self._outputs.finish(self.follower.last or 0)
-
-
-def main(args=None) -> int:
-    """Run the controller node until a signal; return its exit code."""
-    return process.run_node(ControllerNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -5,7 +5,6 @@
 
 from pathlib import Path
 import subprocess
-import sys
 from tempfile import TemporaryFile
 import time
 
@@ -189,7 +188,7 @@ class IdentificationNode(Node):
             return
         if self.watch.fault is not None:
             raise ExperimentError(self.watch.fault)
-        self._bag.poll()
+        self._bag.recorder.poll()
         if self._stopped:
             raise StoppedError
 
@@ -254,8 +253,9 @@ class IdentificationNode(Node):
 
     def _record(self, path):
         with ExperimentBag(self, path, self._phase_pub, self.say) as bag:
-            self._come(lambda: bag.poll() or not bag.missing,
-                       lambda: f'nobody publishes {", ".join(bag.missing)}')
+            recorder = bag.recorder
+            self._come(lambda: recorder.poll() or not recorder.missing,
+                       lambda: f'nobody publishes {", ".join(recorder.missing)}')
             self._bag = bag
             try:
                 self._carry_out()
@@ -304,12 +304,3 @@ class IdentificationNode(Node):
 
     def finish(self) -> None:
         """End: whatever stopped the experiment has asked for zero torque."""
-
-
-def main(args=None) -> int:
-    """Run the identification node; return its exit code."""
-    return process.run_node(IdentificationNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -141,7 +141,7 @@ def _broken(bounds, joints, error):
             f'{bounds[row, j]:.4g} {unit}')
 
 
-class Following:
+class TrajectoryAction:
     """
     The action ``~/follow_joint_trajectory``: one goal at a time, a new one replaces the old.
 

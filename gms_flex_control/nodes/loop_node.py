@@ -4,7 +4,6 @@
 """Plant or bridge, controller and trajectory in one process: no sample waits for DDS."""
 
 from functools import partial
-import sys
 
 from gms_flex_control.nodes import process
 from gms_flex_control.nodes.controller_node import ControllerNode
@@ -57,12 +56,3 @@ class LoopNode:
 def _set(node, message):
     """Set the clock of a node that takes the time from /clock."""
     node.get_clock().set_ros_time_override(Time.from_msg(message.clock))
-
-
-def main(args=None) -> int:
-    """Run the loop until a signal; return its exit code."""
-    return process.run_node(LoopNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -12,12 +12,13 @@ from array import array
 from contextlib import suppress
 import math
 
+from gms_flex_control.data.cdr import phase_labels, SOURCE_LABEL, STAMP_LABEL
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 NANOSECONDS = 1_000_000_000
-_STAMP, _SOURCE = 'stamp:', 'source:'
+_LATEST = round(0.1 * NANOSECONDS)      # a state older than the last by less was overtaken
 _LARGEST_STAMP = 2 ** 63                # beyond what a message's own time can hold [ns]
 EFFORT, DERIVATIVE = 'effort', 'derivative'
 # Beyond these a number is a fault, though it is finite: 1e308 overflows in any law.
@@ -83,6 +84,11 @@ def to_nanoseconds(stamp) -> int:
 def set_stamp(stamp, nanoseconds) -> None:
     """Write integer nanoseconds into a builtin_interfaces Time."""
     stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+
+
+def is_overtaken(stamp, last) -> bool:
+    """Return whether a state came late, after the ``last``: not one of another clock."""
+    return last is not None and 0 < last - stamp <= _LATEST
 
 
 # joint states --------------------------------------------------------------------------------
@@ -195,11 +201,11 @@ class ArrayWriter:
         self.message = Float64MultiArray(layout=MultiArrayLayout(dim=[
             *(MultiArrayDimension(label=label, size=size, stride=math.prod(sizes[k:]))
               for k, (label, size) in enumerate(dimensions)),
-            self._stamp, *([_mark(_SOURCE + source)] if source else [])]))
+            self._stamp, *([_mark(SOURCE_LABEL + source)] if source else [])]))
 
     def write(self, values, stamp) -> Float64MultiArray:
         """Return the message: an array, in answer to or at the joint state of ``stamp`` [ns]."""
-        self._stamp.label = f'{_STAMP}{stamp}'
+        self._stamp.label = f'{STAMP_LABEL}{stamp}'
         if len(self._numbers) != values.size:
             self.message.data = array('d', bytes(8 * values.size))
             self._numbers = np.frombuffer(self.message.data)
@@ -230,18 +236,13 @@ def read_marks(message) -> tuple:
     stamp, source = None, ''
     for dimension in reversed(message.layout.dim):  # the first ones count
         label = dimension.label
-        if label.startswith(_STAMP):
+        if label.startswith(STAMP_LABEL):
             stamp = None
             with suppress(ValueError):  # anyone may have written the label
-                stamp = int(label[len(_STAMP):])
-        elif label.startswith(_SOURCE):
-            source = label[len(_SOURCE):]
+                stamp = int(label[len(STAMP_LABEL):])
+        elif label.startswith(SOURCE_LABEL):
+            source = label[len(SOURCE_LABEL):]
     return (stamp if stamp is None or abs(stamp) < _LARGEST_STAMP else None), source
-
-
-def read_stamp(message) -> int | None:
-    """Return the stamp [ns] in the layout of a Float64MultiArray, or None without one."""
-    return read_marks(message)[0]
 
 
 def read_command(message, n) -> array:
@@ -266,7 +267,7 @@ def read_reference(message, n) -> tuple:
     quantity = EFFORT if dims and dims[0].label == EFFORT else 'motion'
     rows = 1 if quantity == EFFORT else 5
     sizes = [dimension.size for dimension in dims[:2]]
-    described = dims and not dims[0].label.startswith((_STAMP, _SOURCE))
+    described = dims and not dims[0].label.startswith((STAMP_LABEL, SOURCE_LABEL))
     if described and (dims[0].label not in (EFFORT, DERIVATIVE) or sizes != [rows, n]):
         labels = ', '.join(f'{dimension.label[:80]} {dimension.size}' for dimension in dims[:2])
         raise RefusedError(f'reference has the layout [{labels}], expected [{DERIVATIVE} 5, '
@@ -292,7 +293,5 @@ def _refuse_bad_reference(data, effort, n):
 
 def phase_message(phase) -> Float64MultiArray:
     """Return what an experiment does from a joint state on (Phase): the rest are labels."""
-    labels = (f'{_STAMP}{phase.time_ns}', f'phase:{phase.phase}', f'joint:{phase.joint}',
-              f'step:{phase.step}')
-    return Float64MultiArray(data=[float(phase.value)],
-                             layout=MultiArrayLayout(dim=[_mark(label) for label in labels]))
+    return Float64MultiArray(data=[float(phase.value)], layout=MultiArrayLayout(
+        dim=[_mark(label) for label in phase_labels(phase)]))

@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The robot as a ROS 2 node, simulated or the bridge to a real one, and its safety services."""
 
-import sys
 import threading
 import time
 
@@ -192,12 +191,3 @@ class Safety:
             return ''
         return (f'nobody serves {self._hold.srv_name}, which lets the reference begin where the '
                 "robot is; start trajectory_node or set bridge.hold_service to ''")
-
-
-def main(args=None) -> int:
-    """Run the plant node until a signal; return its exit code."""
-    return process.run_node(PlantNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

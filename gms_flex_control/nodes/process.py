@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """How each of our processes starts, is scheduled, reaches others and ends: with zero torque."""
 
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 import ctypes
 from functools import partial
@@ -19,6 +18,7 @@ import time
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
 import rclpy
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental import EventsExecutor
 from rclpy.logging import get_logger
@@ -38,6 +38,7 @@ _SCHED_SETATTR = {'x86_64': 314, 'aarch64': 274}  # numbers of the system call
 # slices of time: the shortest there is, and one that lets those with the shortest go first [ns]
 SHORT, LATER = 100_000, 1_000_000
 _NICE = 10
+GOODBYE = Duration(seconds=0.5)  # for the last zero to arrive: a subscriber may be frozen
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _BUILT_IN = 'FASTDDS_BUILTIN_TRANSPORTS'
 _PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
@@ -141,7 +142,7 @@ class Spinner:
             self.spin_for()
 
 
-def run_node(make_node, args=None, time_slice=SHORT) -> int:
+def run_node(make_node, time_slice=SHORT) -> int:
     """
     Run one node, or several as one, until SIGINT or SIGTERM.
 
@@ -157,7 +158,7 @@ def run_node(make_node, args=None, time_slice=SHORT) -> int:
     end_with_launch()
     try:
         # own handlers: with rclpy's, a node cannot publish any more when SIGTERM came
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         with _patience_asked_for():
             node = make_node()
         spinner.add(*getattr(node, 'nodes', [node]))
@@ -345,20 +346,6 @@ def end_with_launch() -> None:
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
-def is_permitted(priority) -> bool:
-    """Return whether a thread of this process may take a priority (1 to 99) of SCHED_FIFO."""
-    try:
-        with ThreadPoolExecutor(1) as pool:
-            pool.submit(_begin_fifo, 0, priority).result()
-    except (OSError, AttributeError):
-        return False
-    return True
-
-
-def _begin_fifo(thread, priority):
-    os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
-
-
 def take_priority(node, priority) -> None:
     """
     Let all threads of this process go before others; those that begin later inherit it.
@@ -371,7 +358,7 @@ def take_priority(node, priority) -> None:
     try:
         for thread in os.listdir('/proc/self/task'):
             with suppress(ProcessLookupError):  # it has just ended
-                _begin_fifo(int(thread), priority)
+                os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, AttributeError) as error:
         node.get_logger().warning(
             f'no realtime_priority {priority}: {error}; {WAY_OUT} or set it to 0')

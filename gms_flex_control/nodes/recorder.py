@@ -144,7 +144,7 @@ class ExperimentBag:
     """
     A bag of the loop's topics and of what the node itself says of them (``own``, its publisher).
 
-    Use it in a ``with`` statement; ``say`` as of Recorder.
+    Use it in a ``with`` statement, which begins its ``recorder``; ``say`` as of Recorder.
     """
 
     def __init__(self, node, path, own, say):
@@ -158,22 +158,13 @@ class ExperimentBag:
         self._writer.__enter__()
         self._writer.add_topic(self._own.topic_name, 'std_msgs/msg/Float64MultiArray',
                                qos=qos_profile('reliable', 'transient_local'))
-        self._recorder = Recorder(self._node, self._writer, list(self._who), self._say)
+        self.recorder = Recorder(self._node, self._writer, list(self._who), self._say)
         return self
 
     def say(self, message) -> None:
         """Publish a message of the node's own, and record it."""
         self._own.publish(message)
-        self._recorder.put(self._own.topic_name, message)
-
-    def poll(self) -> None:
-        """Look for topics and for errors of the disk; raises BagError."""
-        self._recorder.poll()
-
-    @property
-    def missing(self) -> list:
-        """Return the topics that nobody publishes yet."""
-        return self._recorder.missing
+        self.recorder.put(self._own.topic_name, message)
 
     def silent(self, bound) -> list:
         """Return what has not grown for ``bound`` seconds (list of str)."""
@@ -190,7 +181,7 @@ class ExperimentBag:
     def __exit__(self, *failure):
         """End the recording and the bag."""
         try:
-            self._recorder.close()
+            self.recorder.close()
         finally:
             self._writer.__exit__(*failure)
 

@@ -20,7 +20,7 @@ class PastError(RefusedError):
     """All of a motion lies in the past."""
 
 
-class Links:
+class LinkStates:
     """Where the links are and how fast, as the joint states say."""
 
     def __init__(self, joints):

@@ -25,13 +25,11 @@ from gms_flex_control.hardware.supervision import STOOD_STILL
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.topics import Inbox, Serialized
 import rclpy
-from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-_LONGEST_GOODBYE = Duration(seconds=0.5)  # a subscriber may be frozen
 _NEWEST = QoSProfile(depth=1)             # reliable; an older torque is of no use to anybody
 _REOPEN_PERIOD, _READ_TIMEOUT = 0.5, 0.05  # [s]
 _BEAT, _END = b'.', b'q'
@@ -155,7 +153,7 @@ class TopicLink:
     def finish(self) -> None:
         """Wait until those who acknowledge have the last efforts."""
         for publisher, _ in self._efforts:
-            publisher.wait_for_all_acked(_LONGEST_GOODBYE)
+            publisher.wait_for_all_acked(process.GOODBYE)
         if self._guardian is not None:
             self._guardian.end()
 

@@ -21,11 +21,20 @@ $(ros2 pkg prefix --share gms_flex_control)/config; every --params-file may add 
 'ros2 launch gms_flex_control closed_loop.launch.py --show-args' how to start all nodes at once."""
 
 
-def _start(name):
+# the class of each node; one module a node, of the same name as its executable
+_CLASSES = {'controller_node': 'ControllerNode', 'identification_node': 'IdentificationNode',
+            'loop_node': 'LoopNode', 'plant_node': 'PlantNode',
+            'trajectory_node': 'TrajectoryNode'}
+_LATER = ('trajectory_node',)  # works a whole sample ahead: the answer to the state goes first
+
+
+def run(name) -> int:
+    """Run a node until a signal comes; return its exit code."""
     for number in (signal.SIGINT, signal.SIGTERM):  # `run_node` has handlers of its own later
         signal.signal(number, lambda *_: os._exit(0))
     try:
         module = import_module(f'gms_flex_control.nodes.{name}')
+        process = import_module('gms_flex_control.nodes.process')
     except GmsFlexError as error:  # of what is not installed
         print(f'{name}: {error}', file=sys.stderr)
         return 2
@@ -33,10 +42,14 @@ def _start(name):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `head` takes no more
         print(_HELP.format(name=name, summary=module.__doc__.strip()))
         return 0
-    return module.main()
+    return process.run_node(getattr(module, _CLASSES[name]),
+                            process.LATER if name in _LATER else process.SHORT)
 
 
 # the entry points of setup.py: without arguments each returns its exit code
 controller_node, identification_node, loop_node, plant_node, trajectory_node = (
-    partial(_start, name) for name in ('controller_node', 'identification_node', 'loop_node',
-                                       'plant_node', 'trajectory_node'))
+    partial(run, name) for name in _CLASSES)
+
+if __name__ == '__main__':
+    del sys.argv[0]
+    sys.exit(run(sys.argv[0]))

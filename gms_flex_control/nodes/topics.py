@@ -22,6 +22,7 @@ import sys
 import threading
 import time
 
+from gms_flex_control.data.cdr import STAMP_LABEL
 from gms_flex_control.nodes import process
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
@@ -38,7 +39,6 @@ _LONGEST = 65536   # bytes of a message; a thousand joints need no more
 _FIXED = {JointState: slice(12, 48), Float64MultiArray: slice(4, 18)}
 _TIME, _TIME_AT = struct.Struct('=iI'), 4  # of a header, behind the encapsulation
 _NATIVE = b'\0\1' if sys.byteorder == 'little' else b'\0\0'  # first bytes: the byte order
-_STAMP = 'stamp:'
 _GAP = 8  # bytes between two sequences of doubles: length and padding
 
 
@@ -260,7 +260,7 @@ class Deserialized:
         # of other lengths they do not stand there, of another byte order zeros do
         fit = data[:2] == _NATIVE and all(values and data[place] == values for place, values in
                                           zip(places, numbers, strict=True))
-        if not fit or data.count(_STAMP.encode()) > 1:
+        if not fit or data.count(STAMP_LABEL.encode()) > 1:
             return message
         self._labels = []
         self._same = [*same, slice(begin, places[0].start),
@@ -275,7 +275,7 @@ class Deserialized:
 
 
 def _stamp_dimensions(message):
-    return [dimension for dimension in message.layout.dim if dimension.label.startswith(_STAMP)]
+    return [one for one in message.layout.dim if one.label.startswith(STAMP_LABEL)]
 
 
 def _place_of(label, data):
@@ -292,8 +292,8 @@ def stamp_in(data, kind) -> int | None:
     if kind is JointState:
         sec, nanosec = _TIME.unpack_from(data, _TIME_AT)
         return sec * 1_000_000_000 + nanosec
-    begin = data.find(_STAMP.encode())
-    digits = data[begin + len(_STAMP):data.find(b'\0', begin)] if begin >= 0 else b''
+    begin = data.find(STAMP_LABEL.encode())
+    digits = data[begin + len(STAMP_LABEL):data.find(b'\0', begin)] if begin >= 0 else b''
     return int(digits) if digits.isdigit() else None
 
 

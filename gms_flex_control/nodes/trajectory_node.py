@@ -5,7 +5,6 @@
 
 from contextlib import suppress
 import os
-import sys
 import time
 
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
@@ -13,7 +12,7 @@ from gms_flex_control.nodes import joint_trajectory, messages, process
 from gms_flex_control.nodes.health import Health, OK
 from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
 from gms_flex_control.nodes.parameters import NodeParameters
-from gms_flex_control.nodes.reference_motion import Links, LONGEST_PAUSE, Motion
+from gms_flex_control.nodes.reference_motion import LinkStates, LONGEST_PAUSE, Motion
 from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
 from gms_flex_control.schema.build import frames_from_values
 from gms_flex_control.schema.keys import robot_keys, trajectory_keys
@@ -26,7 +25,6 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-_LONGEST_DELAY = round(0.1 * NANOSECONDS)  # a state older than the last by less was overtaken
 # Elsewhere the state is answered meanwhile; what is published here is for the next one.
 _SHARE, _LONGEST_WAIT = 0.3, 1e-3  # of the period; [s]
 _NO_STATE = 'no joint state has come yet'
@@ -49,7 +47,7 @@ class TrajectoryNode(Node):
         parameters = NodeParameters(self, reference_names_keys)
         values, joints = parameters.values, parameters.joints
         self._gives_way = direct is None and values['mode'] != 'lockstep'
-        self._lockstep, self._links = values['mode'] == 'lockstep', Links(joints)
+        self._lockstep, self._links = values['mode'] == 'lockstep', LinkStates(joints)
         frames = frames_from_values(values, joints)
         offset = np.array([values[f'arm.{joint}.offset'] for joint in joints])
 
@@ -81,7 +79,7 @@ class TrajectoryNode(Node):
             return trajectory, new
 
         parameters.watch(judge, self._choose, guard)
-        self._following = self._serve_action()
+        self._action = self._serve_action()
         self.get_logger().info(f"{values['trajectory.type']}, call ~/start to begin"
                                if not values['trajectory.autostart'] else
                                f"{values['trajectory.type']} begins at the first joint state")
@@ -92,7 +90,7 @@ class TrajectoryNode(Node):
             self.get_logger().info('no action ~/follow_joint_trajectory: control_msgs is not '
                                    'installed (sudo apt install ros-jazzy-control-msgs)')
             return None
-        return joint_trajectory.Following(self, self._motion, self._prepare)
+        return joint_trajectory.TrajectoryAction(self, self._motion, self._prepare)
 
     def run(self, spinner) -> None:
         """Publish until a signal comes."""
@@ -103,8 +101,8 @@ class TrajectoryNode(Node):
         motion, stamp = self._motion, messages.to_nanoseconds(message.header.stamp)
         if self.health.fault:
             self._ask_for_zero(stamp)
-            if self._following is not None:
-                self._following.end(f'FAULT: {self.health.fault}')
+            if self._action is not None:
+                self._action.end(f'FAULT: {self.health.fault}')
             with suppress(RefusedError):  # ~/reset begins where the robot is by then
                 self._links.read(message)
             return False
@@ -114,9 +112,8 @@ class TrajectoryNode(Node):
             self._counts['states refused'] += 1
             self.health.warn('joint state', f'joint state refused: {error}')
             return False
-        if (not self._lockstep and motion.last is not None
-                and 0 < motion.last - stamp <= _LONGEST_DELAY):
-            return True  # an old one that came late, not one of another clock
+        if not self._lockstep and messages.is_overtaken(stamp, motion.last):
+            return True
         if motion.current is None or stamp < motion.last:
             self._begin(stamp)
         period = stamp - motion.last
@@ -129,8 +126,8 @@ class TrajectoryNode(Node):
             ended = motion.travelled()
             if ended:
                 self.get_logger().info(ended)
-            if self._following is not None:
-                self._following.look(stamp)
+            if self._action is not None:
+                self._action.look(stamp)
             if self._gives_way:
                 time.sleep(min(_SHARE * period / NANOSECONDS, _LONGEST_WAIT))
             self._publish(stamp + period)
@@ -233,13 +230,3 @@ class TrajectoryNode(Node):
 
     def finish(self) -> None:
         """End: a controller whose reference stops sends zero torque by itself."""
-
-
-def main(args=None) -> int:
-    """Run the trajectory node until a signal; return its exit code."""
-    # a whole sample ahead: the answer to the state goes first
-    return process.run_node(TrajectoryNode, args, process.LATER)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -310,7 +310,7 @@ class _Listener:
         message = _read(deserialize_message, data, Float64MultiArray)
         dims = message.layout.dim
         if signal != 'reference' or not dims or dims[0].label != messages.EFFORT:
-            self._rows.put(signal, messages.read_stamp(message), message.data)
+            self._rows.put(signal, messages.read_marks(message)[0], message.data)
 
     def _on_state(self, data):
         stamp = _read(stamp_in, data, JointState)
