@@ -113,6 +113,6 @@ def test_limits_that_make_no_sense_are_refused(changed, words):
 
 
 def test_a_limit_that_nobody_gave_is_missing():
-    assert limits().missing() == []
-    assert limits(velocity=[1.0, UNLIMITED], lower=[-UNLIMITED, 0.0]).missing() == [
-        'velocity', 'lower']
+    assert limits().missing(NAMES) == ''
+    assert limits(velocity=[1.0, UNLIMITED]).missing(NAMES) == 'limits.wrist.velocity'
+    assert limits(lower=[-UNLIMITED, 0.0]).missing(NAMES) == 'limits.elbow.lower'

@@ -93,9 +93,9 @@ def _loaded(args):
     """Return RobotParams, gains and Limits of the arguments."""
     robot = load_robot(args.robot)
     limits = load_limits(args.limits, robot.joints)
-    if limits is None or limits.missing():
-        raise ConfigError(f'--limits {" ".join(args.limits)}: limits.{robot.joints[0]}.'
-                          f'{limits.missing()[0] if limits else "torque"} is missing')
+    missing = limits.missing(robot.joints) if limits else f'limits.{robot.joints[0]}.torque'
+    if missing:
+        raise ConfigError(f'--limits {" ".join(args.limits)}: {missing} is missing')
     return robot, load_controller(controller_of(args, robot.joints), robot), limits
 
 

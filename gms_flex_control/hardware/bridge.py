@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.hardware import limits as limiting
-from gms_flex_control.hardware.limits import Limits
+from gms_flex_control.hardware.limits import Limits, NEEDED
 from gms_flex_control.hardware.mapping import JointMap, NANOSECONDS, StateMerger
 from gms_flex_control.hardware.supervision import (
     CommandWatch,
@@ -41,10 +41,10 @@ class BridgeParams:
     guarded: bool = False           # whether a guardian sends zero while the bridge stands still
 
     def __post_init__(self):
-        missing = self.limits.missing()
+        missing = self.limits.missing(self.joint_map.joints)
         if missing:
-            raise ParameterError(f'limits: {missing[0]} is missing for some joint; a real robot '
-                                 'needs torque, torque_rate, velocity, lower and upper of all')
+            raise ParameterError(f'{missing} is missing: the bridge to a real robot needs '
+                                 f'{", ".join(NEEDED)} of every joint')
 
 
 class RobotSide:

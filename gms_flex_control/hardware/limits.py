@@ -12,6 +12,7 @@ from gms_flex_control.params.key import freeze_arrays
 import numpy as np
 
 UNLIMITED = 1e9           # of a limit that nobody gave
+NEEDED = ('torque', 'torque_rate', 'velocity', 'lower', 'upper')  # of every joint that is real
 _SHORTEST = 0.01          # a step of the angle is judged as if it took at least that long [s]
 
 
@@ -56,10 +57,10 @@ class Limits:
         """Return limits of torque, torque rate, speed and both angles, in the order of `limit`."""
         return self.torque, self.torque_rate, self.velocity, self.lower, self.upper
 
-    def missing(self) -> list:
-        """Return names of the limits that some joint lacks and no real robot may lack."""
-        return [name for name in ('torque', 'torque_rate', 'velocity', 'lower', 'upper')
-                if (np.abs(getattr(self, name)) >= UNLIMITED).any()]
+    def missing(self, joints) -> str:
+        """Return the first limit of ``joints`` that no real robot may lack, '' if none lacks."""
+        return next((f'limits.{joint}.{name}' for j, joint in enumerate(joints) for name in NEEDED
+                     if abs(getattr(self, name)[j]) >= UNLIMITED), '')
 
 
 def limited(command, before, elapsed, q, dq, limits, held=None) -> np.ndarray:

@@ -5,24 +5,26 @@
 
 from gms_flex_control.errors import ConfigError, ParameterError, TrajectoryError
 from gms_flex_control.hardware.bridge import BridgeParams
-from gms_flex_control.hardware.limits import Limits, UNLIMITED
+from gms_flex_control.hardware.limits import Limits, NEEDED, UNLIMITED
 from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
 from gms_flex_control.schema.build import complete
 from gms_flex_control.schema.keys import bridge_keys, LIMITS, safety_keys, trajectory_keys
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.polynomials import Trajectory
 
-_NEEDED = ('torque', 'torque_rate', 'velocity', 'lower', 'upper')
-
 
 def limits_from_values(values, joints) -> Limits | None:
     """Return Limits of ``joints`` from flat parameters of a plant; None if nothing is limited."""
     flat = complete(safety_keys(joints), values)
     if all(abs(flat[f'limits.{joint}.{name}']) >= UNLIMITED for joint in joints
-           for name in (*_NEEDED, 'torsion')):
+           for name in (*NEEDED, 'torsion')):
         return None
-    return Limits(**{name: [flat[f'limits.{joint}.{name}'] for joint in joints]
-                     for name in (key.name for key in LIMITS)})
+    return _limits(flat, joints)
+
+
+def _limits(flat, joints):
+    return Limits(**{key.name: [flat[f'limits.{joint}.{key.name}'] for joint in joints]
+                     for key in LIMITS})
 
 
 def bridge_from_values(values, joints, motors) -> BridgeParams:
@@ -32,18 +34,13 @@ def bridge_from_values(values, joints, motors) -> BridgeParams:
     ConfigError or ParameterError if a value has the wrong type or range, or a limit is missing.
     """
     flat = complete((*safety_keys(joints), *bridge_keys(joints)), values)
-    for joint in joints:
-        for name in _NEEDED:
-            if abs(flat[f'limits.{joint}.{name}']) >= UNLIMITED:
-                raise ConfigError(f'limits.{joint}.{name} is missing: the bridge to a real robot '
-                                  f"needs {', '.join(_NEEDED)} of every joint")
     sources = flat['bridge.state_topics']
     if flat['bridge.device']:
         sources = (f"device {flat['bridge.device']}",)
     if not sources:
         raise ConfigError('bridge.state_topics is empty: name at least one topic')
     return BridgeParams(
-        joint_map=_joint_map(flat, joints, motors), limits=limits_from_values(values, joints),
+        joint_map=_joint_map(flat, joints, motors), limits=_limits(flat, joints),
         sources=sources, state_timeout=flat['bridge.state_timeout'],
         silence_timeout=flat['silence_timeout'], velocity_cutoff=flat['bridge.velocity_cutoff'],
         skew=flat['bridge.skew'], guarded=flat['bridge.guardian'] and not flat['bridge.device'])
