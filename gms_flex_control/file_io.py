@@ -6,6 +6,7 @@
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 import errno
+from io import StringIO
 import json
 import math
 import os
@@ -101,6 +102,15 @@ def write_text(path, text) -> None:
     """Write ``text`` (str) to ``path`` whole or not at all."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding='utf-8')
+
+
+def as_yaml(data, *, inline_lists=False) -> str:
+    """Return plain data as YAML text, no line of it wrapped and no value an alias."""
+    yaml, text = YAML(), StringIO()
+    yaml.default_flow_style, yaml.width = None if inline_lists else False, LARGEST_YAML
+    yaml.representer.ignore_aliases = lambda _: True
+    yaml.dump(data, text)
+    return text.getvalue()
 
 
 def plain(value, words: Callable = str) -> Any:

@@ -30,7 +30,7 @@ from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.reports import comparison_page, pictures, tuning_page
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.discrepancy_values import report_values
-from gms_flex_control.reports.figures import stacked_panels, svg
+from gms_flex_control.reports.figure_style import stacked_panels, svg
 from gms_flex_control.reports.recordings_page import error_figure
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands, Proposal, propose

@@ -14,7 +14,7 @@ from gms_flex_control.identification.output import report_json
 from gms_flex_control.params.arm import ArmParams, in_units
 from gms_flex_control.params.robot import EncoderParams, FrictionParams, StribeckParams
 from gms_flex_control.reports.answers import identification_text
-from gms_flex_control.reports.figures import save_figure
+from gms_flex_control.reports.figure_style import save_figure
 from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.schema.files import load_robot, save_robot
 from gms_flex_control.view.recorded import scene_of

@@ -19,7 +19,7 @@ from gms_flex_control.reports.discrepancy_values import (
     over_values,
     plain,
 )
-from gms_flex_control.reports.figures import save_figure
+from gms_flex_control.reports.figure_style import save_figure
 from gms_flex_control.reports.pictures import (
     evidence_figure,
     gap_figure,

@@ -8,7 +8,7 @@ import json
 import re
 
 from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.reports.figures import COLOURS, finished, stacked_panels
+from gms_flex_control.reports.figure_style import COLOURS, finished, stacked_panels
 from gms_flex_control.reports.page import decimate, merge_grids, Report, Series
 from html_page import Page
 import numpy as np

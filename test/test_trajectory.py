@@ -171,7 +171,6 @@ def test_no_time_is_lost_where_the_robot_is_already():
     (lambda: builders.velocity_levels([[0.1]], [0.0]), 'durations and settle_time must be'),
     (lambda: builders.velocity_levels([[0.1]], [1.0], settle_time=0.0),
      'durations and settle_time must be'),
-    (lambda: builders.torque_levels([[0.1]], 0.0), 'rate must be above 0, got 0.0'),
     (lambda: Trajectory(**vars(MOTIONS['hold']) | {'scale': [0.0]}),
      'segments must follow each other'),
     (lambda: Trajectory(**vars(MOTIONS['via points']) | {'start': [0, 2, 1, 3, 4]}),

@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass, replace
 
-from gms_flex_control.comparison.tracking import link_rms
+from gms_flex_control.comparison.tracking import link_error
 from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.motion import motion_of, scales_of
 from gms_flex_control.effects import registry
@@ -157,3 +157,8 @@ def random_error(rng, robot, least=0.01, most=0.03) -> RobotParams:
                     stiffness=arm.stiffness * off(arm.stiffness)),
         friction=replace(friction, stiffness=friction.stiffness * off(friction.stiffness[:, :1]),
                          attraction=friction.attraction * off(friction.attraction)))
+
+
+def link_rms(recording) -> np.ndarray:
+    """Return the rms tracking error of each link (n,) [rad]."""
+    return np.sqrt(np.nanmean(link_error(recording) ** 2, axis=0))

@@ -11,6 +11,7 @@ import re
 import time
 from typing import NamedTuple
 
+from bench.demos.hidden_effect import link_rms
 from bench.identification_simulated import read_identification_plan
 from bench.known import beside_truth
 from gms_flex_control.answer import align, Answer, command, measured
@@ -18,7 +19,6 @@ from gms_flex_control.cli.demo import files_of, plan_of, RATE, step_loops
 from gms_flex_control.cli.options import add_verb, JSON, option, out_folder, Verb
 from gms_flex_control.cli.terminal import conclude, import_ros, prepare, refuse_foreign, say
 from gms_flex_control.cli.verbs import DEMO_MOTIONS
-from gms_flex_control.comparison.tracking import link_rms
 from gms_flex_control.data import reader
 from gms_flex_control.experiment.driven import (
     drive_recorded,

@@ -6,16 +6,17 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bench.demos.hidden_effect import link_rms
 from gms_flex_control import __version__
 from gms_flex_control.answer import align, Answer, command, measured
-from gms_flex_control.comparison.tracking import link_error, link_rms
+from gms_flex_control.comparison.tracking import link_error
 from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.result import Discrepancy, Finding
 from gms_flex_control.file_io import plain, write_json
 from gms_flex_control.reports import discrepancy_values
 from gms_flex_control.reports.answers import gap_numbers, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_page import add_discrepancy
-from gms_flex_control.reports.figures import (
+from gms_flex_control.reports.figure_style import (
     COLOURS,
     finished,
     save_figure,

@@ -9,9 +9,9 @@ import os
 import pty
 import subprocess
 
+from bench.demos.hidden_effect import link_rms
 from bench.demos.identify import tracking_of_copies
 from gms_flex_control.cli.demo import plan_of
-from gms_flex_control.comparison.tracking import link_rms
 from gms_flex_control.data import reader
 from gms_flex_control.experiment.simulated import mixed_error, simulate
 import numpy as np

@@ -35,7 +35,7 @@ from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import together
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
-from gms_flex_control.reports.figures import save_figure
+from gms_flex_control.reports.figure_style import save_figure
 from gms_flex_control.reports.pictures import next_figure, separated_figure
 from gms_flex_control.schema.files import load_controller, load_limits, load_robot, save_values
 import numpy as np

@@ -17,7 +17,7 @@ from gms_flex_control.file_io import as_json, controller_file, robot_file, write
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.reports import tuning_page
-from gms_flex_control.reports.figures import save_figure
+from gms_flex_control.reports.figure_style import save_figure
 from gms_flex_control.schema.build import controller_values
 from gms_flex_control.schema.files import load_controller, load_robot, save_values
 from gms_flex_control.tuning import trial

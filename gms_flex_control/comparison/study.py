@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
@@ -168,10 +169,6 @@ def _row(mode, name, outcomes, setting):
     return Row(
         mode, name, {motion: trial['mse'] for motion, trial in nominal.items()},
         None if lost else nominal['polynomial']['hold'],
-        None if lost else _rms([trial['torque'] for trial in nominal.values()]),
-        None if lost else _rms([trial['rate'] for trial in nominal.values()]),
+        None if lost else rms([trial['torque'] for trial in nominal.values()]),
+        None if lost else rms([trial['rate'] for trial in nominal.values()]),
         errors, drawn, None if None in holds else max(holds, default=None))
-
-
-def _rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))

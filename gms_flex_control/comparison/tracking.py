@@ -16,6 +16,7 @@ from typing import NamedTuple
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import quantum
+from gms_flex_control.file_io import plain
 import numpy as np
 
 HOLD_SETTLING = 1.0   # a reference constant this long counts as holding still [s]
@@ -210,27 +211,21 @@ class Table4:
                 paper = self.paper(trajectory, joint)
                 rows.append({
                     'trajectory': trajectory, 'joint': joint,
-                    'mse': {m: _known(self.mse(trajectory, m, joint)) for m in modes},
-                    'ratio': {m: _known(self.ratio(trajectory, m, joint))
+                    'mse': {m: self.mse(trajectory, m, joint) for m in modes},
+                    'ratio': {m: self.ratio(trajectory, m, joint)
                               for m in modes if m != WITHOUT},
                     'paper': dict(zip(('without', 'with', 'ratio'), paper, strict=True))
                     if paper else None})
-        return {'quantity': 'mean square of link angle - reference', 'unit': 'rad^2',
-                'note': NOTE, 'findings': self.findings(), 'table': rows,
-                'runs': [run._asdict() | {
-                    'joints': [{key: _known(value) for key, value in one._asdict().items()}
-                               for one in run.joints],
-                    'unanswered': _known(run.unanswered)} for run in self.runs]}
+        return plain({
+            'quantity': 'mean square of link angle - reference', 'unit': 'rad^2', 'note': NOTE,
+            'findings': self.findings(), 'table': rows, 'runs': [run._asdict() | {
+                'joints': [one._asdict() for one in run.joints]} for run in self.runs]})
 
 
 def _ordered(names, first):
     """Return each of ``names`` once, those of ``first`` before the others by their names."""
     return tuple(sorted(dict.fromkeys(names), key=lambda name: (
         first.index(name) if name in first else len(first), name)))
-
-
-def _known(value):
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _small(value):
@@ -246,11 +241,6 @@ def _plain(value):
 def link_error(recording) -> np.ndarray:
     """Return actual minus desired link angle (T, n) [rad]; NaN where there was no reference."""
     return recording.q_link - recording.reference[:, 0]
-
-
-def link_rms(recording) -> np.ndarray:
-    """Return the rms tracking error of each link (n,) [rad]."""
-    return np.sqrt(np.nanmean(link_error(recording) ** 2, axis=0))
 
 
 def track(run) -> RunTracking:

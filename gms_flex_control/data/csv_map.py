@@ -103,7 +103,7 @@ class Channel:
     enabled: str | int | None = None  # a column that is 0 while the drive gives no torque
 
 
-class JointMap(NamedTuple):
+class JointColumns(NamedTuple):
     """One joint: its motor's name in the bag ('' if rigid) and its channels by name."""
 
     name: str
@@ -195,7 +195,7 @@ def _joint(node, name):
         if channel.estimate is not None and POSITION_OF[key] not in channels:
             raise node.wrong(f'is to be estimated from {POSITION_OF[key]}, which is not mapped',
                              key)
-    return JointMap(name, motor, channels)
+    return JointColumns(name, motor, channels)
 
 
 def _channel(joint, key):

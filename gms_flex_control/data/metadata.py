@@ -4,12 +4,10 @@
 """The metadata.yaml of a bag folder, and the message definitions and type hashes of a bag."""
 
 from functools import lru_cache
-from io import StringIO
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
 from gms_flex_control.file_io import read_yaml
-from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 try:  # every module on bags imports this one first
@@ -54,15 +52,6 @@ LARGEST = 10_000_000  # bytes; a thousand topics take some hundred thousand
 NEVER = 2**63 - 1  # starting time of a bag without messages
 
 _FOREVER = {'sec': 9223372036, 'nsec': 854775807}
-
-
-def as_yaml(data) -> str:
-    """Return plain data as YAML text."""
-    yaml, text = YAML(), StringIO()
-    yaml.width = LARGEST  # breaks no line
-    yaml.representer.ignore_aliases = lambda _: True
-    yaml.dump(data, text)
-    return text.getvalue()
 
 
 def qos_profile(reliability='reliable', durability='volatile') -> dict:

@@ -14,7 +14,7 @@ from gms_flex_control.data import cdr, metadata
 from gms_flex_control.data.metadata import definition
 from gms_flex_control.data.recording import MOTOR_SUFFIX, Recording, Topics
 from gms_flex_control.errors import BagError
-from gms_flex_control.file_io import make_folder, write_text
+from gms_flex_control.file_io import as_yaml, make_folder, write_text
 from mcap.writer import CompressionType, Writer
 import numpy as np
 
@@ -103,7 +103,7 @@ class BagWriter:
                 type_name, 'ros2msg', described.text.encode())
         number = self._mcap.register_channel(
             name, 'cdr', self._schemas[type_name],
-            {'offered_qos_profiles': metadata.as_yaml([qos]),
+            {'offered_qos_profiles': as_yaml([qos]),
              'topic_type_hash': described.type_hash})
         self._channels[name] = number, metadata.TopicEntry(
             name, type_name, described.type_hash, qos, 0)
@@ -197,11 +197,11 @@ class BagWriter:
 
     def _add_metadata(self):
         self._mcap.add_metadata('rosbag2', {
-            'serialized_metadata': metadata.as_yaml(self._metadata())})
+            'serialized_metadata': as_yaml(self._metadata())})
 
     def _save_metadata(self, final=False):
         write_text(self._folder / 'metadata.yaml',
-                   metadata.as_yaml({'rosbag2_bagfile_information': self._metadata(final)}))
+                   as_yaml({'rosbag2_bagfile_information': self._metadata(final)}))
 
     def _refuse_existing(self):
         if os.path.lexists(self._final):

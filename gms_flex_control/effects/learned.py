@@ -126,7 +126,6 @@ class LearnedPosition(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        """Change the signals of one joint."""
         s[LINK_TORQUE] += curve(s[Q_LINK], p)
 
 
@@ -140,7 +139,6 @@ class LearnedTorsion(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        """Change the signals of one joint."""
         s[SPRING] += curve(s[TORSION], p)
 
 
@@ -154,7 +152,6 @@ class LearnedRateFriction(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        """Change the signals of one joint."""
         s[FRICTION] += curve(abs(s[DQ_LINK]), p) * _sign(s[DQ_LINK], p[_SIGN])
 
 
@@ -171,7 +168,6 @@ class LearnedPositionFriction(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        """Change the signals of one joint."""
         if p[_SIGN] > 0.0:
             memory[2] = _stop((s[Q_LINK] - memory[0]) * memory[1], p[_SIGN], memory[2])
             memory[0], memory[1] = s[Q_LINK], 1.0
@@ -188,7 +184,6 @@ class LearnedPositionDrag(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        """Change the signals of one joint."""
         s[FRICTION] += curve(s[Q_LINK], p) * _sign(s[DQ_LINK], p[_SIGN])
 
 
@@ -202,7 +197,6 @@ class LearnedLoadFriction(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        """Change the signals of one joint."""
         s[FRICTION] += curve(abs(s[SPRING]), p) * _sign(s[DQ_LINK], p[_SIGN])
 
 
@@ -219,7 +213,6 @@ class LearnedHysteresis(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        """Change the signals of one joint."""
         moved, yields = (s[Q_LINK] - memory[0]) * memory[1], p[STOPS]
         memory[0], memory[1] = s[Q_LINK], 1.0
         if yields > 0.0 and p[STOPS + 1] > yields:
@@ -244,7 +237,6 @@ class LearnedResonance(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        """Change the signals of one joint."""
         frequency, damping = p[MODES], p[MODES + 2]
         if frequency > 0.0 and p[MODES + 1] > frequency:
             ratio = (p[MODES + 1] / frequency) ** (1.0 / (MODES - 1))
@@ -280,7 +272,6 @@ class LearnedDrift(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        """Change the signals of one joint."""
         s[FRICTION] *= 1.0 + curve(s[TIME], p)
 
 

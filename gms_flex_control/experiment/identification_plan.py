@@ -8,7 +8,7 @@ from pathlib import Path
 import shutil
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
-from gms_flex_control.experiment.identification_steps import Limits, Planner, Step
+from gms_flex_control.experiment.identification_steps import Planner, Step, StepLimits
 from gms_flex_control.schema.build import complete
 from gms_flex_control.schema.keys import EXPERIMENTS, identification_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
@@ -95,7 +95,7 @@ def plan_identification(values: dict, robot, gains) -> IdentificationPlan:
     value is out of range, or a step cannot keep a limit.
     """
     flat = complete(identification_keys(robot.joints), values)
-    limits = Limits.read(flat, robot, gains)
+    limits = StepLimits.read(flat, robot, gains)
     unknown = [joint for joint in flat['identification.joints'] if joint not in robot.joints]
     if unknown:
         raise ConfigError(f'identification.joints: unknown joint {unknown[0]!r} '

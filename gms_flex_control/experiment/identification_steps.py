@@ -39,7 +39,7 @@ class Step(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Limits:
+class StepLimits:
     """Limits of each joint, and what is believed of its friction; all (n_joints,)."""
 
     lower: np.ndarray
@@ -54,7 +54,7 @@ class Limits:
     stribeck_velocity: np.ndarray
 
     @classmethod
-    def read(cls, flat: dict, robot, gains) -> 'Limits':
+    def read(cls, flat: dict, robot, gains) -> 'StepLimits':
         """Return the limits of checked parameters, zeros replaced by what they stand for."""
         names = ('lower', 'upper', 'velocity', 'acceleration', 'torque', 'slowest', 'fastest',
                  'static', 'stribeck_velocity')
@@ -209,21 +209,16 @@ class Planner:
                 self._refuse(joint, name, f'reaches {value:.4g} {unit}, the limit of '
                              f'{kind} is {limit:.4g} {unit}', f'raise identification.{joint}.'
                              f'{kind} or plan a slower step')
-        torque = np.abs([self._torque(sample) for sample in samples[::8]]).max(axis=0)
+        q, dq, ddq = np.moveaxis(samples[::8, :3], 1, 0)
+        arm = self._robot.arm
+        torque = np.abs(chain.inverse_dynamics(q, dq, ddq, arm) + np.where(
+            arm.rigid, 0.0, arm.motor_inertia) * ddq + steady_friction(dq, self._friction)).max(
+                axis=0)
         for i, other in enumerate(self._robot.joints):
             if torque[i] > limits.torque[i]:
                 self._refuse(joint, name, f'needs {torque[i]:.3g} N m of the motor of {other}, '
                              f'the limit is {limits.torque[i]:.3g} N m', 'lower acceleration or '
                              'velocity, or raise torque and gains.*.torque_limit')
-
-    def _torque(self, sample):
-        """Return the motor torque a reference (5, n) needs."""
-        arm = self._robot.arm
-        q, dq, ddq, d3q = sample[:4]
-        links = chain.matrices(q, dq, ddq, d3q, arm)
-        friction = steady_friction(dq, self._friction)
-        torque = links.mass @ ddq + links.coriolis @ dq + links.gravity + friction
-        return torque + np.where(arm.rigid, 0.0, arm.motor_inertia) * ddq
 
     def _break_away(self, joint, j):
         top = self['break_away_level'] * self._limits.static[j]
@@ -254,7 +249,7 @@ class Planner:
 
     def _open_loop(self, name, phase, joint, j, levels, value, place, travel):
         rate = self['torque_rate'] * self._limits.static[j]
-        bias = self._gravity_torque(place)
+        bias = chain.inverse_dynamics(place, 0.0, 0.0, self._robot.arm)  # gravity's
         values = {'trajectory.type': 'torque_levels', 'trajectory.rate': float(rate),
                   'trajectory.approach_time': BRAKING_TIME}
         for i, other in enumerate(self._robot.joints):
@@ -275,10 +270,6 @@ class Planner:
         return Step(name, phase, joint, 'torque', values, float(value),
                     duration + BRAKING_TIME + self['rest_time'], tuple(place.tolist()), None,
                     travel)
-
-    def _gravity_torque(self, q):
-        zero = np.zeros_like(q)
-        return chain.matrices(q, zero, zero, zero, self._robot.arm).gravity
 
     def _refuse(self, joint, name, finding, way_out):
         raise ConfigError(f'identification.{joint}: step {name} {finding}; {way_out}')

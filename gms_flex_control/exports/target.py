@@ -12,13 +12,13 @@ from gms_flex_control.effects import learned, registry
 from gms_flex_control.effects.catalogue.friction_level import ViscousError
 from gms_flex_control.effects.table import with_changes, with_friction
 from gms_flex_control.errors import ConfigError, did_you_mean
+from gms_flex_control.file_io import as_yaml
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.robot import RobotParams, STRIBECK, StribeckParams, WHOLE_ARM
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.urdf import robot_urdf
 import numpy as np
-from ruamel.yaml import YAML
 
 # parts of the model that are no effects of the catalogue, and what is exported instead
 PARTS = {
@@ -160,11 +160,8 @@ def ros2_control(robot: RobotParams, without: tuple = ()) -> str:
     robot = with_friction(robot)
     lists = {name: [float(f'{value:.9g}') for value in getattr(robot.friction.forward, name)]
              for name in ('viscous', 'coulomb')}
-    yaml, text = YAML(), io.StringIO()
-    yaml.default_flow_style = None
-    yaml.dump({'/**': {'ros__parameters': {'joints': list(robot.joints), 'friction': lists}}},
-              text)
-    return _HEADER + text.getvalue()
+    values = {'joints': list(robot.joints), 'friction': lists}
+    return _HEADER + as_yaml({'/**': {'ros__parameters': values}}, inline_lists=True)
 
 
 URDF = Target(title='URDF', write=urdf, effects=(ViscousError.name,),

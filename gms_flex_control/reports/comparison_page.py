@@ -9,7 +9,7 @@ from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.comparison import study
 from gms_flex_control.comparison.study import conditions, CONTESTANTS, NOMINAL
 from gms_flex_control.params.arm import in_units
-from gms_flex_control.reports.figures import COLOURS, labelled, side_by_side, STYLES
+from gms_flex_control.reports.figure_style import COLOURS, labelled, side_by_side, STYLES
 from gms_flex_control.reports.page import Report, Series
 import numpy as np
 

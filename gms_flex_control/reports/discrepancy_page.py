@@ -15,7 +15,7 @@ from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.arm import in_currents, in_units
 from gms_flex_control.reports.answers import COLUMNS, discrepancy_answer, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_values import comparison_rows
-from gms_flex_control.reports.figures import file_stem, save_figure
+from gms_flex_control.reports.figure_style import file_stem, save_figure
 from gms_flex_control.reports.page import Report, Series
 from gms_flex_control.reports.pictures import evidence_figure, gap_figure, maps_figure, over_figure
 import numpy as np

@@ -18,7 +18,7 @@ from gms_flex_control.identification.outcome import (
     STANDINGS,
 )
 from gms_flex_control.reports.answers import held_out_rows, identification_answer, worst_joint
-from gms_flex_control.reports.figures import file_stem, save_figure
+from gms_flex_control.reports.figure_style import free_path, save_figure
 from gms_flex_control.reports.page import decimate, Report, Series
 from gms_flex_control.reports.pictures import loops_figure, map_figure
 import numpy as np
@@ -39,24 +39,17 @@ def write_identification_report(identification, folder, *, robot=()) -> list:
     folder, words = Path(folder), identification.in_units
     answer = identification_answer(identification, folder, robot)
     report = Report('Friction identification', answer, data_sentence(identification), words)
-    worst, paths = worst_joint(identification), []
+    worst, paths, used = worst_joint(identification), [], set()
     shown = [(map_figure(result), loops_figure(result)) for result in identification.joints]
-    for figures, stem in zip(shown, _stems(identification.joints), strict=True):
+    for figures, result in zip(shown, identification.joints, strict=True):
         for name, figure in zip(('map', 'presliding'), figures, strict=True):
-            paths.append(folder / f'{name}_{stem}.png')
+            paths.append(free_path(folder, f'{name}_{result.joint}', used))
             save_figure(figure, paths[-1], words)
     _add_map(report, worst, shown[identification.joints.index(worst)][0])
     _add_summary(report, identification)
     for result, (friction_map, loops) in zip(identification.joints, shown, strict=True):
         _add_joint(report, result, None if result is worst else friction_map, loops)
     return [report.write(folder / 'report.html'), *paths]
-
-
-def _stems(joints):
-    """Yield the name of each joint as part of the name of a file, that of no other."""
-    stems = [file_stem(result.joint) for result in joints]
-    for i, stem in enumerate(stems):
-        yield f'{stem}_{i + 1}' if stem in stems[:i] else stem
 
 
 def _add_map(report, result, figure):

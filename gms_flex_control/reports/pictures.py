@@ -5,7 +5,7 @@
 
 from gms_flex_control.discrepancy.describe import angle_scale, torque_scale
 from gms_flex_control.reports.answers import WITH, WITHOUT
-from gms_flex_control.reports.figures import (
+from gms_flex_control.reports.figure_style import (
     COLOURS,
     finished,
     labelled,

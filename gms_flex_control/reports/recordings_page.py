@@ -4,11 +4,11 @@
 """What recordings show without a fit: Table 4 with the paper's Figs. 6 to 10."""
 
 from pathlib import Path
-import re
 
 from gms_flex_control.comparison.tracking import link_error, PAPER_WITHOUT, Table4, table4
 from gms_flex_control.file_io import write_json
-from gms_flex_control.reports import figures
+from gms_flex_control.reports import figure_style
+from gms_flex_control.reports.figure_style import free_path
 from gms_flex_control.reports.page import Report, Series
 from matplotlib.figure import Figure
 import numpy as np
@@ -114,39 +114,39 @@ def _add_error_charts(report, runs, wanted):
 def tracking_figure(run) -> Figure:
     """Return reference and measured link angle of a Run, a panel per joint (Figs. 6 to 9)."""
     recording = run.recording
-    figure, panels = figures.stacked_panels(recording.n_joints)
-    keep = figures.thinned(len(recording.time))
+    figure, panels = figure_style.stacked_panels(recording.n_joints)
+    keep = figure_style.thinned(len(recording.time))
     for i, panel in enumerate(panels):
-        panel.plot(recording.time[keep], recording.q_link[keep, i], color=figures.COLOURS[0],
+        panel.plot(recording.time[keep], recording.q_link[keep, i], color=figure_style.COLOURS[0],
                    label='measured')
         panel.plot(recording.time[keep], recording.reference[keep, 0, i], 'k--', linewidth=1.0,
                    label='reference')
         panel.set_ylabel(f'{recording.joints[i]} [rad]', parse_math=False)
     panels[0].legend(loc='upper right', ncols=2)
-    return figures.finished(figure, panels, _title(run))
+    return figure_style.finished(figure, panels, _title(run))
 
 
 def error_figure(runs, trajectory) -> Figure:
     """Return the errors of all runs of one trajectory, a panel per joint [mrad] (Fig. 10)."""
     chosen = [run for run in runs if run.trajectory == trajectory]
     joints = _joints(chosen)
-    figure, panels = figures.stacked_panels(len(joints))
+    figure, panels = figure_style.stacked_panels(len(joints))
     for panel, joint in zip(panels, joints, strict=True):
         panel.axhline(0.0, color='0.6', linewidth=0.6)
         for run in chosen:
             if joint in run.recording.joints:
                 colour, style = _look(run)
-                keep = figures.thinned(len(run.recording.time))
+                keep = figure_style.thinned(len(run.recording.time))
                 panel.plot(run.recording.time[keep], _error(run, joint)[keep], style,
-                           color=figures.COLOURS[colour], label=_name(run))
+                           color=figure_style.COLOURS[colour], label=_name(run))
         panel.set_ylabel(f'{joint} [mrad]', parse_math=False)
     panels[0].legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return figures.finished(figure, panels, f'{_capital(trajectory)}: position error')
+    return figure_style.finished(figure, panels, f'{_capital(trajectory)}: position error')
 
 
 def _look(run):
     """Return colour and style of a compensation, the same in every picture and chart."""
-    return _LOOKS.get(run.compensation, (3, figures.STYLES[1]))
+    return _LOOKS.get(run.compensation, (3, figure_style.STYLES[1]))
 
 
 def _name(run):
@@ -167,17 +167,6 @@ def _save_pictures(runs, folder):
     for trajectory, drawn in _by_trajectory(runs):
         for run in drawn:
             name = f'tracking_{run.trajectory}_{run.compensation}'
-            figures.save_figure(tracking_figure(run), _free(folder, name, used))
-        figures.save_figure(error_figure(drawn, trajectory),
-                            _free(folder, f'errors_{trajectory}', used))
-
-
-def _free(folder, stem, used):
-    """Return the path of a picture, safe as a file name and not used yet."""
-    stem = re.sub(r'[^A-Za-z0-9._-]+', '_', stem).strip('_')
-    path, count = folder / f'{stem}.png', 1
-    while path in used:
-        count += 1
-        path = folder / f'{stem}_{count}.png'
-    used.add(path)
-    return path
+            figure_style.save_figure(tracking_figure(run), free_path(folder, name, used))
+        figure_style.save_figure(error_figure(drawn, trajectory),
+                                 free_path(folder, f'errors_{trajectory}', used))

@@ -9,7 +9,7 @@ from pathlib import Path
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.file_io import plain
 from gms_flex_control.params.gains import GAINS
-from gms_flex_control.reports.figures import COLOURS, panels_of, STYLES, WIDTH
+from gms_flex_control.reports.figure_style import COLOURS, panels_of, STYLES, WIDTH
 from gms_flex_control.schema.build import controller_values
 from gms_flex_control.tuning.linear_loop import linear_loop
 from gms_flex_control.tuning.margins import joint_margins, open_loop, poses
@@ -55,8 +55,8 @@ def loop_lines(judgement, robot, timing) -> list:
 def answer_of(proposal, trials, robot, demands, files, folder) -> Answer:
     """Return what error to expect of a Proposal, and its margin (Answer)."""
     mode, judgement, count = list(trials)[-1], proposal.judgement, robot.n_joints
-    rms, peak = ([np.sqrt(_worse(trials[name], 'mse', count)) for name in ('none', mode)],
-                 [_worse(trials[name], 'peak', count) for name in ('none', mode)])
+    rms, peak = ([_worse(trials[name], figure, count) for name in ('none', mode)]
+                 for figure in ('rms', 'peak'))
     worst = int(np.argmax(rms[1]))
     phase = min(one.phase for one in judgement.joints)
     numbers = tuple(
@@ -88,7 +88,9 @@ def _worse(trials, figure, count):
 def expected_lines(trials, judgement, robot) -> list:
     """Return what error of the links to expect of the last mode of ``trials``, as lines."""
     mode = list(trials)[-1]
-    errors = '; '.join(f'{joint} {_expected(trials[mode].values(), j)}'
+    rms, peak = (1e3 * _worse(trials[mode], name, robot.n_joints) for name in ('rms', 'peak'))
+    errors = '; '.join(f'{joint} ' + (f'{rms[j]:.3g} mrad rms, {peak[j]:.3g} at most'
+                                      if np.isfinite(rms[j]) else 'lost')
                        for j, joint in enumerate(robot.joints))
     held = ', '.join(f'{joint} {1e3 * value:.3g} mrad' for joint, value in zip(
         robot.joints, judgement.held, strict=True))
@@ -96,33 +98,21 @@ def expected_lines(trials, judgement, robot) -> list:
             f'error that static friction can hold without compensation: {held}']
 
 
-def _expected(found, j):
-    if any(trial.lost for trial in found):
-        return 'lost'
-    rms, peak = (1e3 * max(value[j] for value in values) for values in (
-        [[math.sqrt(one) for one in trial.mse] for trial in found],
-        [trial.peak for trial in found]))
-    return f'{rms:.3g} mrad rms, {peak:.3g} at most'
-
-
 def conditions_text(report) -> str:
     """Return a GainReport as a table and a few lines."""
-    rows = [('joint', 'condition', 'value', 'limit', 'verdict')]
+    rows = []
     for c in report.conditions:
         verdict = 'ok' if c.met else 'VIOLATED'
         if not c.met and c.kind == 'gershgorin':
             verdict = 'not met (sufficient only)'
         rows.append((c.joint, f'{c.condition}  ({_KINDS[c.kind]})', f'{c.value:.5g}',
                      f'{c.limit:.5g}', verdict))
-    widths = [max(len(row[i]) for row in rows) for i in range(5)]
-    lines = [f'{row[0]:<{widths[0]}}  {row[1]:<{widths[1]}}  {row[2]:>{widths[2]}}  '
-             f'{row[3]:>{widths[3]}}  {row[4]}'.rstrip() for row in rows]
     alphas = ', '.join(f'{joint} {alpha:.5g}'
                        for joint, alpha in zip(report.joints, report.alpha, strict=True))
     low, high = report.mass_range
     bottom, top = report.energy_range
     return '\n'.join([
-        *lines, '',
+        align(('joint', 'condition', 'value', 'limit', 'verdict'), rows), '',
         f'alpha, smallest eigenvalue of N_2 (37): {alphas}',
         f'eigenvalues over all configurations: M {low:.5g} to {high:.5g} kg m^2, '
         f'N_1 (34) {bottom:.5g} to {top:.5g}',

@@ -3,21 +3,18 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """ROS parameter files: read with line numbers for messages, written whole or not at all."""
 
-import io
 from pathlib import Path
 
 from gms_flex_control.errors import ConfigError, ParameterError
-from gms_flex_control.file_io import checked_yaml, write_text
+from gms_flex_control.file_io import as_yaml, checked_yaml, write_text
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema import build
 from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.node_values import limits_from_values
-from ruamel.yaml import YAML
 
 _WRAPPER = 'ros__parameters'
-_UNBROKEN = 4096           # characters: a line of a written file is never wrapped
 
 
 def read_parameters(path) -> dict:
@@ -133,8 +130,5 @@ def save_values(values: dict, path, *, comment: str = '') -> None:
         for parent in parents:
             branch = branch.setdefault(parent, {})
         branch[leaf] = value
-    yaml, text = YAML(), io.StringIO()
-    yaml.default_flow_style, yaml.width = None, _UNBROKEN
-    yaml.dump({'/**': {_WRAPPER: tree}}, text)
     header = ''.join(f'# {line}\n' for line in comment.splitlines())
-    write_text(path, header + text.getvalue())
+    write_text(path, header + as_yaml({'/**': {_WRAPPER: tree}}, inline_lists=True))

@@ -55,6 +55,10 @@ def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin='') -> str
         _limit(root, robot, limits)
     if plugin:
         _add_ros2_control(root, robot, name, motors, plugin)
+    return _document(root)
+
+
+def _document(root):
     ElementTree.indent(root)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
@@ -68,8 +72,7 @@ def _with_friction(robot):
             for old in joint.findall('dynamics'):
                 joint.remove(old)
             _dynamics(joint, robot, robot.joints.index(joint.get('name')))
-    ElementTree.indent(root)
-    return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+    return _document(root)
 
 
 def _dynamics(joint, robot, j):

@@ -85,15 +85,10 @@ def _arm_equations(robot, pose, *, stuck=False):
 
 def _mass_and_pull(arm, pose):
     """Return M(q) and the derivative of the gravity torque there, each (n, n)."""
-    rest = np.zeros(arm.n_joints)
-
-    def gravity(q):
-        return chain.inverse_dynamics(q, rest, rest, arm)
-
     steps = _STEP * np.eye(arm.n_joints)
-    pull = np.stack([(gravity(pose + step) - gravity(pose - step)) / (2.0 * _STEP)
-                     for step in steps], axis=1)
-    return chain.matrices(pose, rest, rest, rest, arm).mass, pull
+    above, below = (chain.inverse_dynamics(pose + side * steps, 0.0, 0.0, arm)
+                    for side in (1.0, -1.0))
+    return chain.mass_matrices(pose[None], arm)[0], (above - below).T / (2.0 * _STEP)
 
 
 def _controller_law(gains, model, pose, period):
@@ -106,7 +101,7 @@ def _controller_law(gains, model, pose, period):
     n = model.n_joints
     constants, work = cascade.constants_of(gains, model), cascade.workspace(n)
     reference = np.vstack([pose, np.zeros((4, n))])
-    held = chain.matrices(pose, *np.zeros((3, n)), model.arm).gravity
+    held = chain.inverse_dynamics(pose, 0.0, 0.0, model.arm)  # gravity's torque
     motor = pose + np.where(model.arm.rigid, 0.0, held / model.arm.stiffness)
     middle = np.concatenate([pose, np.zeros(n), motor, np.zeros(n), held, np.zeros(2 * n)])
 

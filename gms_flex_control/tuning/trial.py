@@ -46,6 +46,11 @@ class Trial(NamedTuple):
     rate: list | None = None    # rms of its change over the sample [N m/s]
     limit: list | None = None   # largest torque [N m]
 
+    @property
+    def rms(self) -> np.ndarray:
+        """Return the rms error of each link (n,) [rad]."""
+        return np.sqrt(self.mse)
+
 
 def with_delay(robot, delay) -> RobotParams:
     """Return a robot whose motors get every torque later by ``delay`` [s]."""

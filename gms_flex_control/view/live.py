@@ -26,7 +26,7 @@ _COUNTERS = (('samples', 'samples without a fresh command'),
 
 class Rows:
     """
-    What has come in, for any number of pages at their own pace.
+    The rows of a table, one per joint state, filled as messages come in.
 
     Joint states closer than ``spacing`` [ns] to the row before make none.
     """
@@ -127,7 +127,7 @@ class Rows:
 
 
 class Feed:
-    """Rows that several threads may wait for."""
+    """Rows for any number of pages, each at its own pace: threads wait for what is new."""
 
     def __init__(self):
         self._condition = threading.Condition()

@@ -4,6 +4,7 @@
 """How figures look: colours, panels, files and SVG for the page; matplotlib without display."""
 
 from io import StringIO
+from pathlib import Path
 import re
 
 from gms_flex_control.file_io import atomic_path
@@ -86,7 +87,18 @@ def thinned(length, most=20_000) -> slice:
 
 def file_stem(text) -> str:
     """Return a text, such as the name of a joint, as part of the name of a file."""
-    return re.sub(r'[^A-Za-z0-9_-]+', '_', text)
+    return re.sub(r'[^A-Za-z0-9._-]+', '_', text).strip('_')
+
+
+def free_path(folder, text, used) -> Path:
+    """Return the path of a PNG named after a text, none of the set ``used``, and add it there."""
+    stem, count = file_stem(text), 1
+    path = folder / f'{stem}.png'
+    while path in used:
+        count += 1
+        path = folder / f'{stem}_{count}.png'
+    used.add(path)
+    return path
 
 
 def save_figure(figure, path, words=str) -> None:
