@@ -180,7 +180,7 @@ class TuningResult(Result):
             tuning_page.gains_table(self.gains, self.robot),
             '\nMargins of the sampled loop, worst of all poses',
             tuning_page.margins_table(judgement, self.robot),
-            *tuning_page.loop_lines(judgement, self.robot, timing),
+            *tuning_page.loop_lines(judgement, timing),
             f'\n{tuning_page.conditions_text(judgement.conditions)}',
             f'\nSimulated, exact model\n{tuning_page.trials_table(self.trials, self.robot)}',
             *tuning_page.expected_lines(self.trials, judgement, self.robot),

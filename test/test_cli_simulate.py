@@ -79,7 +79,7 @@ def test_a_simulation_is_a_bag_and_a_line(simulate, tmp_path):
     assert np.all(recording.friction_hat == 0.0)
 
 
-def test_several_motions_and_modes_make_a_bag_each(simulate, tmp_path):
+def test_several_motions_and_modes_make_a_bag_each(simulate):
     code, printed, _ = simulate('--duration', 0.4, '--trajectory', 'sinusoid', 'polynomial',
                                 '--compensation', 'none', 'gms', '--json')
     results = json.loads(printed)

@@ -14,8 +14,8 @@ from std_msgs.msg import String
 
 EXAMPLE = CONFIG.parent / 'examples' / 'industrial_arm'
 ARM = [EXAMPLE / 'robot.yaml', EXAMPLE / 'controller.yaml']
-# node, text of a file after the usual two (None: it is missing), what the sentence says; values
-# that no robot has are test_schema's
+# node, text of a file (None: it is missing), what the sentence says, and the files before it if
+# not the usual two; values that no robot has are test_schema's
 REFUSED = {
     'unknown key': (
         'controller_node', 'gains: {joint1: {kd_lnk: 0.8}}',
@@ -29,6 +29,11 @@ REFUSED = {
         'each joint needs the same number of points, got [2, 3]'),
     'no YAML': ('controller_node', 'gains: [', "Couldn't parse params file"),
     'missing file': ('plant_node', None, 'Error opening YAML file'),
+    'no robot': ('controller_node', 'mode: realtime', 'joints is missing: no robot file was read',
+                 FILES[1:]),
+    'limit of a URDF': (
+        'trajectory_node', 'trajectory: {joint2: {amplitude: 1.7}}', 'its limit of 1.6 rad in ',
+        [EXAMPLE / 'robot.yaml', EXAMPLE / 'trajectory.yaml']),
 }
 
 
@@ -45,13 +50,8 @@ def outcomes(tmp_path_factory):
             return node.wait(PATIENCE), node.printed(), path
 
         with ThreadPoolExecutor(2) as pool:
-            running = {case: pool.submit(start, case, name, text)
-                       for case, (name, text, _) in REFUSED.items()}
-            running['no robot'] = pool.submit(
-                start, 'no robot', 'controller_node', 'mode: realtime', files=[FILES[1]])
-            running['limit'] = pool.submit(
-                start, 'limit', 'trajectory_node', 'trajectory: {joint2: {amplitude: 1.7}}',
-                files=[EXAMPLE / name for name in ('robot.yaml', 'trajectory.yaml')])
+            running = {case: pool.submit(start, case, name, text, *files)
+                       for case, (name, text, _, *files) in REFUSED.items()}
             running['no URDF'] = pool.submit(
                 start, 'no URDF', 'controller_node', 'arm: {urdf: /robot_description}', files=ARM)
             # whole numbers where doubles belong, and parameters of ROS itself
@@ -73,17 +73,6 @@ def test_a_bad_file_is_refused_in_one_sentence(outcomes, case):
     assert lines[0].startswith(('plant_node', 'controller_node', 'trajectory_node'))
     if case in ('no YAML', 'missing file'):
         assert str(path) in lines[0]
-
-
-def test_a_missing_robot_file_is_named(outcomes):
-    code, printed, _ = outcomes['no robot']
-    assert code == 2 and 'joints is missing: no robot file was read' in printed
-
-
-def test_a_motion_beyond_a_limit_of_the_urdf_is_refused(outcomes):
-    code, printed, _ = outcomes['limit']
-    assert code == 2 and 'Traceback' not in printed, printed
-    assert 'beyond its limit of 1.6 rad in ' in printed or 'limit of -1.6 rad in ' in printed
 
 
 def test_whole_numbers_are_taken_for_doubles(outcomes):

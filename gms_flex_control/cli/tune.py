@@ -102,7 +102,7 @@ def _write(args, robot, proposal, demands):
     comment = '\n'.join([
         f'Gains proposed by gms_flex tune {__version__} for {args.rate:g} Hz and '
         f'{args.delay:g} ms of delay.',
-        *tuning_page.loop_lines(proposal.judgement, robot, demands.timing)[:1],
+        *tuning_page.loop_lines(proposal.judgement, demands.timing)[:1],
         tuning_page.margins_table(proposal.judgement, robot)])
     save_values(controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
                 comment=comment)

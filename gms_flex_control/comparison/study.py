@@ -27,7 +27,6 @@ CONTESTANTS = {
     'disturbance_observer': 'disturbance observer',
     'gms_adaptive': 'adaptive GMS'}
 NOMINAL, DRAWN = 'nominal', 'drawn'
-RATE, COUNTS = 500.0, 20_000.0
 
 
 class Condition(NamedTuple):

@@ -12,13 +12,10 @@ from gms_flex_control.design.motions import APPROACH
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import TOPICS
 from gms_flex_control.nodes.messages import NANOSECONDS, to_nanoseconds
-from gms_flex_control.nodes.process import NO_EVENTS
+from gms_flex_control.nodes.process import hidden_node, NO_EVENTS
 from gms_flex_control.nodes.recorder import Recorder
 from gms_flex_control.nodes.remote import RemoteNode
-import rclpy
-from rclpy.experimental import EventsExecutor
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 _BOUND = 10.0    # for an answer [s]
@@ -39,32 +36,23 @@ def drive_motion(parameters: dict, duration: float, bag: str | Path, *, patience
     RunError if the nodes are missing, refuse the motion, or fall silent, after ``~/stop`` has been
     called; BagError if the bag cannot be written.
     """
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        with BagWriter(bag) as writer:
-            runner = _Runner(writer, patience, say)
-            try:
-                runner.run(parameters | {'trajectory.approach_time': APPROACH}, duration)
-            finally:
-                runner.close()
-    finally:
-        rclpy.try_shutdown()
+    with hidden_node('next') as (node, executor), BagWriter(bag) as writer:
+        runner = _Runner(node, executor, Recorder(node, writer, list(TOPICS), say), patience)
+        try:
+            runner.run(parameters | {'trajectory.approach_time': APPROACH}, duration)
+        finally:
+            runner.close()
 
 
 class _Runner:
-    """A node that records, and commands the trajectory node."""
+    """Commands the trajectory node while a Recorder records."""
 
-    def __init__(self, writer, patience, say):
-        self._patience = patience
-        self._node = rclpy.create_node(f'_gms_flex_next_{time.time_ns() % 10**9}',
-                                       enable_rosout=False, start_parameter_services=False)
-        self._executor = EventsExecutor()
-        self._executor.add_node(self._node)
-        self._trajectory = RemoteNode(self._node, 'trajectory', ('start', 'stop'))
-        self._recorder = Recorder(self._node, writer, list(TOPICS), say)
+    def __init__(self, node, executor, recorder, patience):
+        self._executor, self._recorder, self._patience = executor, recorder, patience
+        self._trajectory = RemoteNode(node, 'trajectory', ('start', 'stop'))
         self._stamp, self._heard, self._moving = None, time.monotonic(), False
-        self._node.create_subscription(JointState, 'joint_states', self._on_state,
-                                       qos_profile_sensor_data, event_callbacks=NO_EVENTS)
+        node.create_subscription(JointState, 'joint_states', self._on_state,
+                                 qos_profile_sensor_data, event_callbacks=NO_EVENTS)
 
     def _on_state(self, message):
         self._stamp, self._heard = to_nanoseconds(message.header.stamp), time.monotonic()
@@ -125,5 +113,3 @@ class _Runner:
                 self._trigger('stop')
         finally:
             self._recorder.close()
-            self._executor.shutdown()
-            self._node.destroy_node()

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """How each of our processes starts, is scheduled, reaches others and ends: with zero torque."""
 
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 import ctypes
 from functools import partial
@@ -208,6 +209,24 @@ def _patience_asked_for():
 def _refuse(error):
     print(f'{sys.argv[0].rsplit("/", 1)[-1]}: {error}', file=sys.stderr, flush=True)
     return _BAD_INPUT
+
+
+@contextmanager
+def hidden_node(purpose) -> Iterator:
+    """Join the ROS graph with a node that lists leave out; yield it and its executor."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node(f'_gms_flex_{purpose}_{time.time_ns() % 10**9}',
+                                 enable_rosout=False, start_parameter_services=False)
+        executor = EventsExecutor()
+        executor.add_node(node)
+        try:
+            yield node, executor
+        finally:
+            executor.shutdown()
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
 
 
 class BackgroundSpin:

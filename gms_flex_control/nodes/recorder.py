@@ -12,12 +12,10 @@ import time
 from gms_flex_control.data.metadata import qos_profile
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
-from gms_flex_control.nodes.process import end_with_launch, NO_EVENTS
+from gms_flex_control.nodes.process import end_with_launch, hidden_node, NO_EVENTS
 import rclpy
-from rclpy.experimental import EventsExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from rclpy.signals import SignalHandlerOptions
 
 _DEPTH = 5000  # half a second of the fastest lockstep run; memory is taken as it is needed
 _DRAIN_PERIOD = 0.02    # [s]; with the writer's flush period this is what kill -9 can take
@@ -208,37 +206,27 @@ def record(out, topics=None, *, duration=None, say=print) -> dict:
     previous = _stop_on_signals(stopped)
     end_with_launch()
     try:
-        with BagWriter(out) as writer:
-            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        with BagWriter(out) as writer, hidden_node('recorder') as (node, executor):
+            recorder = Recorder(node, writer, topics, say)
             try:
-                _record(writer, topics, lambda: stopped.is_set() or time.monotonic() > end, say)
+                _spin(recorder, executor, lambda: stopped.is_set() or time.monotonic() > end)
             finally:
-                rclpy.try_shutdown()
+                recorder.close()
+                for name in recorder.missing:
+                    say(f'not recorded: topic {name!r} never had a publisher')
     finally:
         for number, handler in previous.items():
             signal.signal(number, signal.SIG_IGN if stopped.is_set() else handler)
     return dict(writer.counts)
 
 
-def _record(writer, topics, is_over, say):
-    node = rclpy.create_node(f'_gms_flex_recorder_{time.time_ns() % 10**9}',
-                             enable_rosout=False, start_parameter_services=False)
-    executor = EventsExecutor()
-    executor.add_node(node)
-    recorder = Recorder(node, writer, topics, say)
-    try:
-        while rclpy.ok() and not is_over():
-            recorder.poll()
-            executor.spin_once(timeout_sec=0.05)
-        grace = time.monotonic() + _GRACE_PERIOD
-        while rclpy.ok() and time.monotonic() < grace:
-            executor.spin_once(timeout_sec=0.01)
-    finally:
-        recorder.close()
-        for name in recorder.missing:
-            say(f'not recorded: topic {name!r} never had a publisher')
-        executor.shutdown()
-        node.destroy_node()
+def _spin(recorder, executor, is_over):
+    while rclpy.ok() and not is_over():
+        recorder.poll()
+        executor.spin_once(timeout_sec=0.05)
+    grace = time.monotonic() + _GRACE_PERIOD
+    while rclpy.ok() and time.monotonic() < grace:
+        executor.spin_once(timeout_sec=0.01)
 
 
 def _stop_on_signals(stopped):

@@ -40,7 +40,7 @@ def margins_table(judgement, robot) -> str:
                   'encoder torque [N m]', 'jitter [mrad]'], rows)
 
 
-def loop_lines(judgement, robot, timing) -> list:
+def loop_lines(judgement, timing) -> list:
     """Return delay margin and ringing as lines of text."""
     delay = ('more than 50 samples' if math.isinf(judgement.delay)
              else f'{1e3 * judgement.delay:.2f} ms')
