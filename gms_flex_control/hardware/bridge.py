@@ -12,6 +12,7 @@ from gms_flex_control.hardware import limits as limiting
 from gms_flex_control.hardware.limits import Limits, NEEDED
 from gms_flex_control.hardware.mapping import JointMap, NANOSECONDS, StateMerger
 from gms_flex_control.hardware.supervision import (
+    BRIDGED,
     CommandWatch,
     Lateness,
     Outcome,
@@ -164,7 +165,7 @@ class Bridge:
         if not limiting.is_sound(robot.rows, before, elapsed, self.params.limits):
             self._judge(before, elapsed)
         robot.publish(now)
-        self.counters['states out'] += 1
+        self.counters[BRIDGED[0]] += 1
         return True
 
     def _judge(self, before, elapsed):
@@ -183,7 +184,7 @@ class Bridge:
             controller.lateness.restart()  # plain commands answer no state
             return
         missed = controller.answered < self.robot.stamp
-        self.counters['states without a fresh command'] += missed
+        self.counters[BRIDGED[1]] += missed
         controller.lateness.note(missed, elapsed)
 
     def refuse_state(self, sentence) -> None:

@@ -9,7 +9,13 @@ import time
 from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.foresight import Foresight
 from gms_flex_control.hardware.mapping import ReadingError
-from gms_flex_control.hardware.supervision import LATE, NOTABLE, Outcome, SupervisedRobot
+from gms_flex_control.hardware.supervision import (
+    BRIDGED,
+    LATE,
+    NOTABLE,
+    Outcome,
+    SupervisedRobot,
+)
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
 from gms_flex_control.nodes.topics import Inbox, Outlet
@@ -241,7 +247,7 @@ class BridgedRobot(SupervisedRobot):
             self._counted = counters, now
             rates = {f'rate of {name} [Hz]': round(
                 (counters.get(name, 0) - before.get(name, 0)) / max(now - since, 1e-3), 1)
-                for name in ('states in', 'states out', 'commands in', 'commands acted on')}
+                for name in ('states in', BRIDGED[0], 'commands in', 'commands acted on')}
             return {
                 'state': self._supervisor.state, 'reason': self._supervisor.reason, **rates,
                 **counters, 'faults': self._supervisor.faults,

@@ -11,6 +11,7 @@ from gms_flex_control.hardware import limits as limiting
 from gms_flex_control.hardware.supervision import (
     CommandWatch,
     Outcome,
+    SIMULATED,
     SupervisedRobot,
     Supervisor,
 )
@@ -227,7 +228,7 @@ class SimulatedRobot(SupervisedRobot):
         """Return what to report on /diagnostics."""
         return {
             'state': self._supervisor.state, 'reason': self._supervisor.reason,
-            'samples': self._arm.ticks, 'samples without a fresh command': self._pace.missed,
+            **dict(zip(SIMULATED, (self._arm.ticks, self._pace.missed), strict=True)),
             'samples left out': self._pace.left_out, 'commands refused': self._refused,
             'faults': self._supervisor.faults,
             **self._commands.figures(time.monotonic_ns())}

@@ -7,21 +7,17 @@ from collections import deque
 from math import factorial
 import threading
 
+from gms_flex_control.hardware.supervision import BRIDGED, SIMULATED
 from gms_flex_control.view.recorded import column_names, PER_JOINT
 import numpy as np
 
 WAIT = 0.08          # a row waits so long for what belongs to it [s]
 KEPT = 15_000        # rows that a page which opens late still gets
 SPACING = 4_000_000  # of rows: what lies between is left out, nobody would see it [ns]
-
-_REACH = 20_000_000   # a reference further away is not used [ns]
-
+WINDOW = 3.0         # of counting late samples [s]
+SILENCE = 3.5        # of the reports, upon which the state is not known [s]
+_REACH = 20_000_000    # a reference further away is not used [ns]
 _JUMP = 1_000_000_000  # stamps that go back or ahead by more are another run [ns]
-WINDOW = 3.0    # of counting late samples [s]
-SILENCE = 3.5   # of the reports, upon which the state is not known [s]
-# counters of a simulated robot and of a bridge: samples, and those without a command in time
-_COUNTERS = (('samples', 'samples without a fresh command'),
-             ('states out', 'states without a fresh command'))
 
 
 class Rows:
@@ -180,7 +176,7 @@ class Status:
     def report(self, values, time, now) -> None:
         """Take the values (dict of str) of a DiagnosticStatus stamped ``time``, ``now`` [s]."""
         self._said, self._heard = values, now
-        for samples, late in _COUNTERS:
+        for samples, late in (SIMULATED, BRIDGED):
             numbers = values.get(samples, ''), values.get(late, '0')
             if all(map(str.isdecimal, numbers)):
                 self._count(time, *map(int, numbers))
