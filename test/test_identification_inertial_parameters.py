@@ -146,3 +146,23 @@ def test_what_the_links_leave_of_the_torque_is_the_friction(hidden, found):
     off = [rms(low_pass(friction_torque(segment, arm)[200:-200] - true, 50).ravel())
            / rms(true.ravel()) for arm in (found.arm, robot.arm)]
     assert off[0] < 0.1 < 1.0 < off[1], off
+
+
+def test_links_found_joint_by_joint_predict_no_worse_than_those_of_the_urdf(hidden):
+    """Each joint moves in a recording of its own; judged on another motion of the first two."""
+    _, robot, _ = hidden
+    urdf, alone = hidden_arm()[2], np.eye(6)
+    recordings = [moved(urdf, robot.arm, 4.0, seed=j, noise=0.02, moving=alone[j])
+                  for j in range(6)]
+    found = fit_base_parameters(recordings, robot)
+    for j in range(2):
+        apart = moved(urdf, robot.arm, 4.0, seed=50 + j, noise=0.02, moving=alone[j])
+        segment, = segments_of(apart, robot, ('motor',) * 6)
+        rate = segment.rate[:, j]
+        friction = low_pass(np.stack([rate > 0, rate < 0, rate], axis=1).astype(float), 50)
+        off = []
+        for arm in (found.arm, robot.arm):
+            torque = low_pass(friction_torque(segment, arm)[:, j], 50)
+            rest = torque - friction @ np.linalg.lstsq(friction, torque, rcond=None)[0]
+            off.append(rms(rest[200:-200]) / rms(segment.torque[:, j]))
+        assert off[0] < min(off[1], 0.01), off

@@ -7,14 +7,18 @@ from dataclasses import replace
 
 from bench.hidden_arms.wrong_links import base_values, friction_of, hidden_arm, moved
 from gms_flex_control.data.conditions import Conditions, with_conditions
-from gms_flex_control.data.recording import Operation
+from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.errors import BagError, ConfigError, IdentificationError
 from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
-from gms_flex_control.identification.assumed_robot import believed_model
+from gms_flex_control.identification.assumed_robot import (
+    believed_model,
+    rigid_joints,
+    with_torques,
+)
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
 from gms_flex_control.identification.output import friction_values
@@ -289,3 +293,35 @@ def test_an_arm_is_identified_that_was_recorded_joint_by_joint():
     values = friction_values(found)
     assert 'uncertainty.joint4.level' in values
     assert 'uncertainty.joint3.level' not in values
+
+
+@pytest.mark.parametrize('torque', [np.nan, 0.0])
+def test_a_joint_without_torque_keeps_its_friction_and_the_others_are_identified(torque):
+    """As drives have it that report no current, or always the same."""
+    robot, arm, urdf = hidden_arm()
+    take = moved(urdf, robot.arm, 8.0, seed=3, moving=np.isin(np.arange(6), (0, 1, 3)))
+    known = np.where(np.arange(6) == 1, torque, take.tau_motor)
+    take = replace(take, tau_motor=known)
+    found = identify([take], replace(robot, arm=arm), options=Options(blocks=(1,)))
+    told, = [one for one in found.warnings if 'have no torque' in one]
+    assert told.startswith('hidden: joint2 have no torque that was recorded')
+    assert [one.joint for one in found.joints] == ['joint1', 'joint4']
+    coulomb, _ = friction_of(robot.arm)
+    np.testing.assert_allclose(found.robot.friction.forward.coulomb[[0, 3]], coulomb[[0, 3]],
+                               rtol=0.05)
+    assert found.robot.friction.forward.coulomb[1] == robot.friction.forward.coulomb[1]
+    links = fit_base_parameters([with_torques(take, robot)], robot)
+    assert np.isfinite(links.values).all() and np.isfinite(links.error).all()
+
+
+def test_an_axis_without_torque_does_not_end_the_fit_of_another():
+    time = np.arange(0.0, 20.0, 0.004)
+    q = 0.5 * np.sin(time) + 0.3 * np.sin(2.3 * time)
+    rate, bend = np.gradient(q, time), np.gradient(np.gradient(q, time), time)
+    robot = rigid_joints(('turn', 'lift'))
+    drive = bend + 0.8 * np.tanh(rate / 1e-3) + 0.2 * rate
+    take = Recording(joints=robot.joints, time=time, source='axes', q_link=np.stack([q, q], 1),
+                     tau_motor=np.stack([drive, np.full(len(q), np.nan)], axis=1))
+    found = identify([take], robot, options=Options(blocks=(1,)))
+    assert [one.joint for one in found.joints] == ['turn']
+    assert found.robot.friction.forward.coulomb == pytest.approx([0.8, 1.0], rel=0.05)

@@ -3,13 +3,12 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The machines: where their recordings are, what is believed and what is known of them."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 import os
 from pathlib import Path
 from typing import NamedTuple
 
 from gms_flex_control.data.csv_import import import_csv
-from gms_flex_control.data.recording import NOT_SAMPLED
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.schema.files import load_robot
 import numpy as np
@@ -104,9 +103,8 @@ def between(recording, begin, end):
     inside = (recording.time >= begin) & (recording.time < end)
     if inside.all():
         return recording
-    cut = {field.name: getattr(recording, field.name)[inside] for field in fields(recording)
-           if field.name not in (*NOT_SAMPLED, 'scale_sd')}
-    return replace(recording, **cut | {'time': cut['time'] - cut['time'][0]})
+    cut = recording.of_samples(inside)
+    return replace(cut, time=cut.time - cut.time[0])
 
 
 def halves(file, middle, begin=0.0, end=np.inf, name='halves'):

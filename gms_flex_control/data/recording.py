@@ -108,6 +108,11 @@ class Recording:
         return replace(self, joints=tuple(joints), coupling=coupling, **{
             name: getattr(self, name)[..., columns] for name in _OF_JOINTS})
 
+    def of_samples(self, rows) -> 'Recording':
+        """Return the Recording of some samples (T,), a mask, or numbers that increase."""
+        return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)
+                                if one.name not in (*NOT_SAMPLED, 'scale_sd')})
+
     @property
     def period(self) -> float:
         """Return the median sample period [s]."""

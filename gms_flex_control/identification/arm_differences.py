@@ -8,9 +8,13 @@ from typing import NamedTuple
 
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.axis_fit import friction_regressors
+from gms_flex_control.identification.inertial_parameters import body_of
 from gms_flex_control.identification.segments import Segment
-from gms_flex_control.params.arm import Body
+from gms_flex_control.params.arm import ArmParams, at_end, Body
 import numpy as np
+
+_SURE = 3.0         # standard deviations of its mass that an unknown load has at least
+_TRIFLE = 5e-4      # and of the mass of the arm: links are not known better
 
 
 class FoundLoad(NamedTuple):
@@ -19,6 +23,24 @@ class FoundLoad(NamedTuple):
     body: Body
     mass_sd: float     # [kg]
     com_sd: np.ndarray  # (3,) [m]
+
+
+def found_load(numbers, covariance, arm: ArmParams, source: str) -> FoundLoad:
+    """
+    Return the FoundLoad of ten ``numbers`` in the frame of the last link.
+
+    ``covariance`` (4, 4) is that of mass and first moment. IdentificationError if it is none.
+    """
+    (mass, *moment), sd = numbers[:4], float(np.sqrt(covariance[0, 0]))
+    if not mass > max(_SURE * sd, _TRIFLE * arm.mass.sum()):
+        raise IdentificationError(
+            f'{source}: the unknown load has a mass of {mass:.3g} kg within {sd:.2g} (standard '
+            'deviation), which is none: leave load away in recording.yaml, or move the arm more')
+    com = np.array(moment) / mass
+    slopes = np.concatenate([-com[:, None], np.eye(3)], axis=1) / mass
+    turn = arm.frames.end_rotation.T
+    spread = np.maximum(np.diag(turn @ slopes @ covariance @ slopes.T @ turn.T), 0.0)
+    return FoundLoad(at_end(body_of(numbers), arm.frames), sd, np.sqrt(spread))
 
 
 class Coupled(NamedTuple):
@@ -77,6 +99,19 @@ class Differences(NamedTuple):
 def alike(friction: np.ndarray) -> np.ndarray:
     """Return columns (S, 4) of friction that both directions have alike, of those by direction."""
     return friction[:, :4] + friction[:, 4:]
+
+
+def relative_change(friction, rate, label, curve, changes) -> np.ndarray:
+    """
+    Return by how much friction differs at other temperatures, over that at the first (L - 1,).
+
+    ``friction`` (S, 8) are columns at ``rate`` (S,) of temperature ``label`` (S,), ``curve`` (8,)
+    and ``changes`` (L - 1, 4) coefficients.
+    """
+    top = min(np.quantile(np.abs(rate[label == k]), 0.9) for k in range(len(changes) + 1))
+    seen = (np.abs(rate) < top) & (np.abs(rate) > 0.1 * top)
+    usual = friction[seen] @ (0.5 * np.tile(curve[:4] + curve[4:], 2))
+    return changes @ alike(friction[seen]).T @ usual / max(usual @ usual, 1e-300)
 
 
 def coupled_motors(recordings) -> list[int]:

@@ -4,10 +4,11 @@
 """Estimates of what a regression of an arm found: base parameters, differences of recordings."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from gms_flex_control.identification.arm_differences import Coupled, Differences, FoundLoad
-from gms_flex_control.identification.arm_regression import BaseFit
 from gms_flex_control.identification.outcome import CONFIDENT, Estimate, estimated
+from gms_flex_control.params.arm import ArmParams
 import numpy as np
 
 _WIDE = 0.5         # half an interval this large a part of the value says nothing
@@ -16,6 +17,27 @@ _LARGE = 4.0        # standard errors: a zero is reported
 _NOT_MOVED = 'this motion hardly moves it: faster motion of all joints together identifies it'
 _NEEDS = ('the scale is the one that the masses of the URDF have: a recording with a known load '
           'and one without identify it')
+
+
+class BaseFit(NamedTuple):
+    """Base parameters of an arm from recordings."""
+
+    names: tuple             # (B,), of the number that leads each, such as 'joint2.inertia_zz'
+    units: tuple             # (B,)
+    meanings: tuple          # (B,), the sum it stands for
+    values: np.ndarray       # (B,)
+    described: np.ndarray    # (B,), of the robot file
+    covariance: np.ndarray   # (B, B)
+    condition: float         # of the regressor, columns scaled
+    offset: np.ndarray       # (n,), half of what forward and backward friction differ by [N m]
+    arm: ArmParams           # nearest to the described one
+    spread: np.ndarray       # (3, n), of `nearest_arm`
+    differences: Differences
+
+    @property
+    def error(self) -> np.ndarray:
+        """Return the standard deviations (B,)."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 def base_estimates(fit: BaseFit, joints: Sequence[str]) -> list:

@@ -23,17 +23,18 @@ from gms_flex_control.identification.arm_differences import (
     alike,
     Coupled,
     Differences,
-    FoundLoad,
+    found_load,
     layout_of,
+    relative_change,
     temperatures_of,
     Unknowns,
 )
+from gms_flex_control.identification.arm_estimates import BaseFit
 from gms_flex_control.identification.arm_rows import rows_of
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     Base,
     base_of,
-    body_of,
     IN_PLANE,
     meaning_of,
     names_of,
@@ -43,19 +44,18 @@ from gms_flex_control.identification.inertial_parameters import (
 )
 from gms_flex_control.identification.robust_regression import (
     block_scores,
+    first_coefficient,
     regress,
-    robust,
     weighting_of,
 )
 from gms_flex_control.identification.segments import drive_sides, rigid_where
 from gms_flex_control.identification.torque_scales import described_scales
 from gms_flex_control.identification.uncertainty import (
-    block_sums,
     clustered,
     inverse_of,
     memory_of,
 )
-from gms_flex_control.params.arm import ArmParams, at_end, at_last_link, carrying, in_space
+from gms_flex_control.params.arm import ArmParams, at_last_link, carrying, in_space
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -72,30 +72,7 @@ _ROUNDS = 50        # of Gauss and Newton at most: scales multiply parameters
 _LEAST_SHARE = 0.1  # of a step that is taken where steps go to and fro
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them
 _LOADED = 5.0       # standard errors beyond which friction grows with the load
-_SURE = 3.0         # standard deviations of its mass that an unknown load has at least
-_TRIFLE = 5e-4      # and of the mass of the arm: links are not known better
 _ADDS = 0.005       # and at least so much of the torque carried
-
-
-class BaseFit(NamedTuple):
-    """Base parameters of an arm from recordings."""
-
-    names: tuple             # (B,), of the number that leads each, such as 'joint2.inertia_zz'
-    units: tuple             # (B,)
-    meanings: tuple          # (B,), the sum it stands for
-    values: np.ndarray       # (B,)
-    described: np.ndarray    # (B,), of the robot file
-    covariance: np.ndarray   # (B, B)
-    condition: float         # of the regressor, columns scaled
-    offset: np.ndarray       # (n,), half of what forward and backward friction differ by [N m]
-    arm: ArmParams           # nearest to the described one
-    spread: np.ndarray       # (3, n), of `nearest_arm`
-    differences: Differences
-
-    @property
-    def error(self) -> np.ndarray:
-        """Return the standard deviations (B,)."""
-        return np.sqrt(np.diag(self.covariance))
 
 
 def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> BaseFit:
@@ -125,7 +102,8 @@ def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Diff
                                      or recordings[0].operation.load_unknown
                                      or recordings[0].coupling is not None):
         return None
-    fit = _Fit(recordings, robot, sides, arm, Base(np.zeros(0, dtype=int), np.zeros((0, 0))))
+    none = Base(np.zeros(0, dtype=int), np.zeros((0, len(all_parameters(arm)))))
+    fit = _Fit(recordings, robot, sides, arm, none)
     fit.solve()
     return fit.differences()
 
@@ -164,7 +142,8 @@ class _Fit:
         self._prior_sd = np.maximum(doubt, _DRIVE_SD if len(loads) > 1 else 0.0)
         self._coupling = recordings[0].coupling
         self._layout = layout_of(len(base.lead), recordings, self._prior_sd)
-        self._at = Unknowns(np.zeros(len(base.lead)), np.zeros((len(recordings), n)), np.ones(n),
+        self._links = base.combination @ all_parameters(arm)
+        self._at = Unknowns(self._links, np.zeros((len(recordings), n)), np.ones(n),
                             np.zeros((len(recordings), 10)),
                             np.zeros(2 * len(self._layout.shared)))
         self._known_loads = [recordings[r].operation.load for r in self._layout.unknown]
@@ -172,18 +151,11 @@ class _Fit:
         self._guess, unknown = np.ones(n), np.flatnonzero(np.isinf(doubt))
         if len(unknown):
             self._guess[unknown], self._prior_sd[unknown] = described_scales(
-                self._rows, self._described(), self._own, unknown,
+                self._rows, self._torque(), self._own, unknown,
                 [f'{recordings[0].source}: the torque of {joint}' for joint in robot.joints])
         self._at.scale[:] = self._guess
         self._memory = 1.0
         self._last = None  # the _Regression of the last step
-
-    def _described(self):
-        """Return the torque of the links as described (S, n) [N m]."""
-        if not len(self._base.lead):
-            return self._rows.known
-        return self._rows.known + self._rows.regressor @ (
-            self._base.combination @ all_parameters(self._arm))
 
     def _own(self, j, chosen):
         """Return the columns that are eliminated for a joint: friction, offsets, delay (S', F)."""
@@ -211,7 +183,7 @@ class _Fit:
         links' weight is in it. ``_memory`` samples count as one, and this one as many.
         """
         row = np.zeros((1, self._own(j, slice(0, 1)).shape[1]))
-        sd = _ASYMMETRY_SD * np.sqrt(np.mean(self._rows.torque[:, j] ** 2))
+        sd = max(_ASYMMETRY_SD * np.sqrt(np.mean(self._rows.torque[:, j] ** 2)), 1e-12)
         row[0, [0, 4]] = np.array([0.5, -0.5]) * np.sqrt(self._memory) / sd
         return row
 
@@ -243,15 +215,7 @@ class _Fit:
         """Return what friction adds per torque carried at one joint, and its standard error."""
         j, torque, rows = left
         columns = np.concatenate([self._load_column(j)[rows, None], self._own(j, rows)], axis=1)
-        weights, scale = robust(columns, torque)
-        root = np.sqrt(weights)
-        scaled = columns * root[:, None]
-        values = np.linalg.lstsq(scaled, torque * root, rcond=1e-10)[0]
-        inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
-        scores = block_sums(scaled * (torque * root - scaled @ values)[:, None],
-                            self._rows.block[rows])
-        return values[0], float(np.sqrt(clustered(scale ** 2 * inverse, scores / scale ** 2,
-                                                  _MEMORY)[0, 0]))
+        return first_coefficient(columns, torque, self._rows.block[rows], _MEMORY)
 
     def _left(self, j):
         """Return a joint, where it moves the torque its links do not explain, and these rows."""
@@ -262,11 +226,11 @@ class _Fit:
     def _iterate(self):
         rows, layout, at = self._rows, self._layout, self._at
         weighting, before, share = None, np.zeros(layout.coupled.stop), 1.0
-        for k in range(_ROUNDS):
+        for _ in range(_ROUNDS):
             precision, model = self._precision(), self._torque()
             columns = self._columns(model)
             pull = np.zeros(len(precision))
-            pull[layout.links] = -at.links
+            pull[layout.links] = self._links - at.links
             pull[layout.zeros] = -at.zeros[1:].ravel()
             pull[layout.scales] = np.log(self._guess / at.scale)[layout.free]
             pull[layout.loads] = -at.loads[layout.unknown].ravel()
@@ -288,8 +252,8 @@ class _Fit:
             at.scale[layout.free] *= np.exp(np.clip(scales, -1.0, 1.0))
             at.loads[layout.unknown] += loads.reshape(-1, 10)
             at.coupled = at.coupled + coupled
-            if not len(scales) or k and np.all(np.abs(scales) < _SETTLED):
-                return  # not at first, when parameters of 0 leave scales be
+            if np.all(np.abs(scales) < _SETTLED):
+                return
         worst = layout.free[np.argmax(np.abs(scales))]
         raise IdentificationError(
             f'{self._sources[0]}: the scale of the torque of {self._robot.joints[worst]} does not '
@@ -343,9 +307,9 @@ class _Fit:
 
     @cached_property
     def _covariance(self):
-        """Return covariance and inverse of the normal matrix (P, P), of the last step."""
-        inverse, *scatter = self._scatter()
-        return clustered(inverse, *scatter), inverse
+        """Return the covariance (P, P) of the last step, and how many samples count as one."""
+        scatter = self._scatter()
+        return clustered(*scatter), scatter[2]
 
     def _found_coupled(self):
         """Return the Coupled, None where there is none."""
@@ -363,21 +327,10 @@ class _Fit:
         """Return the FoundLoads by recording."""
         covariance, found = self._covariance[0][self._layout.loads, self._layout.loads], {}
         for k, r in enumerate(self._layout.unknown):
-            own, known = covariance[10 * k:10 * k + 4, 10 * k:10 * k + 4], self._known_loads[k]
-            load = self._at.loads[r] + (
-                0.0 if known is None else ten_numbers(at_last_link(known, self._arm)))
-            mass, *moment = load[:4]
-            if not mass > max(_SURE * np.sqrt(own[0, 0]), _TRIFLE * self._arm.mass.sum()):
-                raise IdentificationError(
-                    f'{self._sources[r]}: the unknown load has a mass of {mass:.3g} kg within '
-                    f'{np.sqrt(own[0, 0]):.2g} (standard deviation), which is none: leave load '
-                    'away in recording.yaml, or move the arm more')
-            com = np.array(moment) / mass
-            slopes = np.concatenate([-com[:, None], np.eye(3)], axis=1) / mass
-            turn = self._arm.frames.end_rotation.T
-            spread = np.maximum(np.diag(turn @ slopes @ own @ slopes.T @ turn.T), 0.0)
-            found[r] = FoundLoad(at_end(body_of(load), self._arm.frames),
-                                 float(np.sqrt(own[0, 0])), np.sqrt(spread))
+            own, known = slice(10 * k, 10 * k + 4), self._known_loads[k]
+            found[r] = found_load(self._at.loads[r] + (
+                0.0 if known is None else ten_numbers(at_last_link(known, self._arm))),
+                covariance[own, own], self._arm, self._sources[r])
         return found
 
     @cached_property
@@ -388,9 +341,9 @@ class _Fit:
         Beside the scales, zeros and loads found: torques and angles are corrected by these.
         """
         links = self._layout.links
-        wider = np.sqrt(np.diag(self._covariance[0]) / np.diag(self._covariance[1]))[links]
+        covariance, memory = self._covariance
         return nearest_arm(self._robot.arm, self._arm, self._base.combination, self._at.links,
-                           self._last.normal[links, links], wider)
+                           self._last.normal[links, links] / memory, covariance[links, links])
 
     def result(self, robot) -> BaseFit:
         """Return the BaseFit."""
@@ -413,6 +366,7 @@ class _Fit:
     def differences(self) -> Differences:
         """Return the Differences of the recordings."""
         n, error = len(self._at.scale), np.sqrt(np.diag(self._covariance[0]))
+        rows = self._rows
         scale_sd, zero_sd = np.zeros(n), np.zeros(self._at.zeros.shape)
         scale_sd[self._layout.free] = error[self._layout.scales]
         zero_sd[1:] = error[self._layout.zeros].reshape(zero_sd[1:].shape)
@@ -420,27 +374,19 @@ class _Fit:
         labels = self._temperatures.labels
         level, change = np.ones((len(labels), n)), np.zeros((len(labels), n, 4))
         for j in range(n):
-            _, left, rows = self._left(j)
-            own = self._own(j, rows)
+            _, left, moving = self._left(j)
+            own = self._own(j, moving)
             values = np.linalg.lstsq(own, left, rcond=1e-10)[0]
             at = 4 + 4 * len(labels)
             offset[1:, j] = values[at:at + len(offset) - 1]
             change[1:, j] = values[8:at].reshape(-1, 4)
-            level[1:, j] = 1.0 + self._changes(j, values[:8], change[1:, j])
+            level[1:, j] = 1.0 + relative_change(
+                rows.friction[:, j], rows.rate[:, j], self._temperatures.of[rows.recording],
+                values[:8], change[1:, j])
             if self._loaded[j]:
                 self._loaded[j] = False
-                loaded[:, j] = self._tried_load((j, left, rows))
+                loaded[:, j] = self._tried_load((j, left, moving))
                 self._loaded[j] = True
         return Differences(self._at.scale, scale_sd, self._prior_sd, self._at.zeros, zero_sd,
                            offset, labels, level, change[self._temperatures.of], self._usual,
                            *loaded, self.loads(), self._found_coupled())
-
-    def _changes(self, j, curve, changes):
-        """Return friction of ``changes`` (L - 1, 4) over that of the first temperature (8,)."""
-        rows, label = self._rows, self._temperatures.of[self._rows.recording]
-        top = min(np.quantile(np.abs(rows.rate[label == k, j]), 0.9)
-                  for k in range(len(self._temperatures.labels)))
-        seen = (np.abs(rows.rate[:, j]) < top) & (np.abs(rows.rate[:, j]) > 0.1 * top)
-        friction = rows.friction[seen, j]
-        usual = friction @ (0.5 * np.tile(curve[:4] + curve[4:], 2))
-        return changes @ alike(friction).T @ usual / max(usual @ usual, 1e-300)

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Samples of recordings for a regression of an arm in space, behind one low-pass."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
@@ -17,7 +18,12 @@ from gms_flex_control.identification.arm_differences import (
 from gms_flex_control.identification.axis_fit import friction_regressors
 from gms_flex_control.identification.inertial_parameters import link_regressors
 from gms_flex_control.identification.objective import BLOCK_TIME
-from gms_flex_control.identification.segments import filled, segments_of, torque_at_samples
+from gms_flex_control.identification.segments import (
+    filled,
+    segments_of,
+    torque_at_samples,
+    while_moved,
+)
 from gms_flex_control.params.arm import carrying
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -45,7 +51,7 @@ class Rows(NamedTuple):
     friction: np.ndarray   # (S, n, 8)
     turning: np.ndarray    # (S, n, K) of friction that lags behind a reversal
     coupled: np.ndarray    # (S, n, 2 M) of friction of M motors that several joints turn
-    rate: np.ndarray       # (S, n)
+    rate: np.ndarray       # (S, n), 0 of a joint that is held
     acceleration: np.ndarray  # (S, n)
     block: np.ndarray      # (S,) int, of time
     recording: np.ndarray  # (S,) int
@@ -57,9 +63,12 @@ def rows_of(recordings, robot, sides, arm, lead, slopes_of) -> tuple:
 
     Raises IdentificationError where the low-pass leaves nothing of a recording.
     """
-    pieces = [(r, segment) for r, recording in enumerate(recordings)
-              for segment in segments_of(recording, robot, sides)]
+    cut = [(r, segment) for r, recording in enumerate(recordings)
+           for segment in segments_of(recording, robot, sides)]
+    pieces = [(r, replace(one, rate=one.rate * one.tested)) for (r, _), one in zip(
+        cut, while_moved([one for _, one in cut], recordings, presliding=False), strict=True)]
     usual = np.sqrt(np.mean(np.concatenate([one.rate for _, one in pieces]) ** 2, axis=0))
+    usual = np.maximum(usual, 1e-12)  # of a joint that is held everywhere
     motors = coupled_motors(recordings)
     parts, used, several = [], 0, len(recordings) > 1
     for r, segment in pieces:

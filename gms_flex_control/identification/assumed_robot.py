@@ -24,6 +24,7 @@ from gms_flex_control.effects.base import Change, Stage
 from gms_flex_control.effects.catalogue.friction_shape import LoadFriction
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.check_basis import absent_joints
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.key import of_joints
 from gms_flex_control.params.robot import (
@@ -40,6 +41,8 @@ _TORSION, _SPRING, _LINK, _MOTOR = (int(stage) for stage in (
     Stage.TORSION, Stage.SPRING, Stage.LINK, Stage.MOTOR))
 _ON_LINK = (Stage.TORSION, Stage.SPRING, Stage.LINK, Stage.MOTOR)
 _WINDOW = 0.05        # of the rates and accelerations that effects look at [s]
+_HELD = 1.9           # samples from one change to the next: the source is slower than the log
+_EVENLY = 0.9         # of such changes that come at even intervals, within a sample
 _CLEARINGS = 3        # of a motion from errors of its encoders
 
 
@@ -135,6 +138,53 @@ def _reason(robot, spec, whole):
         friction = kind.stage == Stage.FRICTION
     return (f'{name} changes the friction, which is what is identified; take it out of the robot '
             'file, what it does is then part of the result') if friction else ''
+
+
+def with_torques(recording: Recording, robot: RobotParams) -> Recording:
+    """
+    Return a recording in which a torque that was not recorded is 0, if others of a robot were.
+
+    A torque that never changes is none, and says nothing of its joint (`segments_of`). Where a
+    planar chain lacks one it stays unknown: its links are never left out.
+    """
+    if robot.arm.kind == 'planar' and robot.n_joints > 1 or absent_joints(recording, robot):
+        return recording
+    columns = [recording.joints.index(joint) for joint in robot.joints]
+    angles = np.isfinite(recording.q_motor[:, columns]).any(axis=0) & ~robot.arm.rigid
+    known = np.isfinite(recording.tau_motor[2:, columns]).any(axis=0)
+    lacking = [k for k, side, one in zip(columns, angles, known, strict=True)
+               if not (side or one)]
+    if len(lacking) == robot.n_joints:
+        return recording
+    torque = recording.tau_motor.copy()
+    torque[:, lacking] = 0.0
+    return replace(recording, tau_motor=torque)
+
+
+def at_own_rate(recording: Recording) -> Recording:
+    """
+    Return a recording at the rate of its source, a warning saying so if it was logged faster.
+
+    A reading that is logged again is no further sample. What changes at even intervals is the
+    source's clock, unlike the counts of an encoder.
+    """
+    known = np.nan_to_num(np.concatenate(
+        [recording.q_link, recording.q_motor, recording.tau_motor], axis=1))
+    time, period = recording.time, recording.period
+    fresh = np.flatnonzero(np.append(True, (np.diff(known, axis=0) != 0.0).any(axis=1)))
+    every = np.diff(time[fresh])
+    own = float(np.median(every)) if len(every) else 0.0
+    if own < _HELD * period or np.mean(np.abs(every - own) < 1.5 * period) < _EVENLY:
+        return recording
+    kept, last = np.zeros(len(time), dtype=bool), -np.inf
+    changed = np.isin(np.arange(len(time)), fresh)
+    for k, now in enumerate(time):  # a source at rest repeats itself
+        if changed[k] or now - last > own + period:
+            kept[k], last = True, now
+    warnings.warn(f'{recording.source}: readings change every {1e3 * own:.4g} ms and were logged '
+                  f'every {1e3 * period:.4g} ms; those that are repeated do not count',
+                  stacklevel=2)
+    return recording.of_samples(kept)
 
 
 def cleared(recording: Recording, robot: RobotParams) -> Recording:

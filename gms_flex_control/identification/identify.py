@@ -16,10 +16,12 @@ from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.arm_regression import fit_differences
 from gms_flex_control.identification.assumed_robot import (
+    at_own_rate,
     believed_model,
     cleared,
     only_joints,
     with_load_friction,
+    with_torques,
 )
 from gms_flex_control.identification.contest import choose_fit, simple_theta
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS, STATICS
@@ -49,6 +51,7 @@ from gms_flex_control.identification.prediction_error import (
 from gms_flex_control.identification.recording_checks import require
 from gms_flex_control.identification.segments import (
     drive_sides,
+    driven,
     half_count,
     one_by_one,
     resolution,
@@ -118,6 +121,8 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
         say('checking the data')
         whole = options.estimate == 'all'
         model = believed_model(robot, whole, options.force)
+        takes, holdouts = ([(with_torques(at_own_rate(one), robot), phases)
+                            for one, phases in several] for several in (takes, holdouts))
         for recording, _ in (*takes, *holdouts):
             for finding in require(recording, model, force=options.force, rough=whole):
                 if finding.kind != 'torque_scale' or not whole:
@@ -188,12 +193,14 @@ class Data:
                                        self.differences and self.differences.loaded)
         if whole:
             parts = [[self.arm_fit.cleared(one) for one in part] for part in parts]
-        segments = numbered(while_moved([one for part in parts[:len(takes)] for one in part]),
-                            period)
-        self._apart = while_moved([one for part in parts[len(takes):] for one in part])
+        fitted, apart = (while_moved([one for part in parts[rows] for one in part],
+                                     recordings[rows]) for rows in (
+            slice(len(takes)), slice(len(takes), None)))
+        segments, self._apart = numbered(fitted, period), apart
         self._steps = np.array([resolution(segments, j, 2.0 * half[j]) for j in joints])
         self.maps = [friction_map(segments, self.robot.arm, j, period, half[j]) for j in joints]
         self._sources = [take.source for take, _ in takes]
+        self._driven = np.any([driven(one, self.sides) for one in recordings[:len(takes)]], axis=0)
         self.fitted = self._joints_to_fit()  # all that follows is of these joints
         if len(self.fitted) < robot.n_joints:
             self.robot = only_joints(self.robot, [robot.joints[j] for j in self.fitted])
@@ -218,17 +225,25 @@ class Data:
         """
         Return the numbers of the joints whose friction is fitted; a warning names the others.
 
-        An arm in space is often recorded joint by joint. Links of other arms are never left out.
+        An arm in space is often recorded joint by joint, and drives exist that give no torque.
+        Links of a planar chain are never left out, nor an axis that stands.
         """
         joints = range(self.described.n_joints)
         moved = [j for j in joints if moves(self.maps[j])]
-        if self.described.arm.frames is None or len(moved) in (0, len(joints)):
+        fitted = [j for j in joints if self._driven[j] and (
+            j in moved or self.described.arm.frames is None)]
+        if len(fitted) in (0, len(joints)) or not moved:
             return list(joints)
-        others = ', '.join(self.described.joints[j] for j in joints if j not in moved)
-        warnings.warn(f'{", ".join(self._sources)}: {others} hardly move in these recordings: '
-                      'their friction stays as described, a placeholder where nothing was stated',
-                      stacklevel=4)
-        return moved
+        for why, left_out in (
+                ('hardly move in these recordings', self._driven),
+                ('have no torque that was recorded, or one that never changes', ~self._driven)):
+            others = [self.described.joints[j] for j in joints
+                      if left_out[j] and j not in fitted]
+            if others:
+                warnings.warn(
+                    f'{", ".join(self._sources)}: {", ".join(others)} {why}: their friction stays '
+                    'as described, a placeholder where nothing was stated', stacklevel=4)
+        return fitted
 
     def with_friction(self, robot, fits) -> RobotParams:
         """Return a robot with the friction of JointFits, and what grows with the load."""
@@ -312,7 +327,7 @@ class Data:
     def _errors(self, joint, fits):
         fit, bundle = fits[joint], self.bundle
         chosen, theta = held_out(bundle.period), fit.coordinates.parameters(fit.held)
-        if self._apart:
+        if any(one.tested[:, joint].any() for one in self._apart):
             bundle = bundle._replace(segments=tuple(self._apart))
             theta, chosen = fit.theta, everything
         simple = simple_theta(self.bundle, joint, fits, self.step[joint], bool(self._apart))

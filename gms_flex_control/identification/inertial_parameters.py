@@ -199,7 +199,7 @@ def meaning_of(row: np.ndarray, names: Sequence[str]) -> str:
     return text
 
 
-def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, normal, wider
+def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, normal, covariance
                 ) -> tuple[ArmParams, np.ndarray]:
     """
     Return the arm nearest to the described one that has base parameters ``values`` (B,).
@@ -208,12 +208,13 @@ def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, norma
     joints, infinite where the data leave them open: marginal ones, beside all others.
     Its links are bodies; a planar chain stays one. ``combination`` (B, P) is that of `base_of`
     for ``arm``, which is ``described`` in space with joints rigid that their motor drives;
-    values are as sure as ``normal`` (B, B) says, their standard deviations times ``wider`` (B,).
+    ``normal`` (B, B) is the curvature of the cost by values, ``covariance`` (B, B) theirs. That is
+    not its inverse, and no weight: few blocks know of directions that nothing determines only
+    how these values scatter there, and a bent metric would trade them for what is determined.
     A motor without inertia in the file begins with what links leave to it.
     """
     rigid = arm.rigid
-    root = np.linalg.cholesky(normal / np.outer(wider, wider)
-                              + 1e-12 * np.diag(np.diag(normal))).T
+    root = np.linalg.cholesky(normal + 1e-12 * np.diag(np.diag(normal))).T
     size, links, changed = (_of_plane if described.frames is None else _of_bodies)(described, arm)
     stated, at = arm.motor_inertia[rigid], 10 * arm.n_joints
     if np.any(stated == 0.0):
@@ -228,7 +229,10 @@ def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, norma
         off = combination @ np.concatenate([links(x[:size]).ravel(), motors(x)]) - values
         return np.concatenate([root @ off, x / _PRIOR_SD])
     found = least_squares(residual, np.zeros(size + rigid.sum()), x_scale=_PRIOR_SD)
-    x, covariance = found.x, np.linalg.inv(found.jac.T @ found.jac)
+    x, inverse = found.x, np.linalg.inv(found.jac.T @ found.jac)
+    weighted = found.jac[:len(values)].T @ root
+    covariance = inverse @ (weighted @ covariance @ weighted.T
+                            + np.eye(len(x)) / _PRIOR_SD ** 2) @ inverse
     slopes = np.stack([_slope(lambda at: sizes_of(changed(at)), x[:size], k)
                        for k in range(size)], axis=-1)
     spread = np.full((3, arm.n_joints), np.inf)

@@ -5,7 +5,12 @@
 
 from collections.abc import Callable, Sequence
 
-from gms_flex_control.identification.uncertainty import block_sums, root_of_inverse, unshrunk
+from gms_flex_control.identification.uncertainty import (
+    block_sums,
+    clustered,
+    root_of_inverse,
+    unshrunk,
+)
 import numpy as np
 
 _HUBER = 1.5       # residuals beyond this many standard deviations count less
@@ -18,17 +23,20 @@ _SAME = 1e-9       # of the largest singular value: no column of its own
 
 def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = None) -> tuple:
     """
-    Return the weights (S,) of rows in a robust regression (Huber), and the residuals' scale.
+    Return the weights (S,) of rows in a robust regression (Huber), and the scale of their noise.
 
-    The scale is the standard deviation of their bulk, a number, or (S,) that of each row's
-    ``group`` (S,): what carries a load is noisier. ``columns`` (S, P), ``target`` (S,).
+    That is the standard deviation of the residuals' bulk per degree of freedom, a number, or (S,)
+    that of each row's ``group`` (S,): what carries a load is noisier. It is infinite where rows
+    are too few for the columns. ``columns`` (S, P), ``target`` (S,).
     """
     weights, scale = np.ones(len(target)), 1.0
     for _ in range(_ROUNDS):
         root = np.sqrt(weights) / (1.0 if group is None else scale)  # one scale changes nothing
-        values = np.linalg.lstsq(columns * root[:, None], target * root, rcond=1e-10)[0]
+        values, _, rank, _ = np.linalg.lstsq(columns * root[:, None], target * root, rcond=1e-10)
         off = np.abs(target - columns @ values)
+        free = max(len(target) - rank, 0) / max(len(target), 1)
         scale = _scale(off) if group is None else _scales(off, group)
+        scale = scale / np.sqrt(free) if free else np.inf
         weights = np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-300))
     return weights, scale
 
@@ -61,6 +69,25 @@ def solution(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> tupl
     blocks = blocks[np.bincount(block, minlength=len(blocks)) > 0]
     many = len(blocks) / max(len(blocks) - 1, 1)
     return values, np.sqrt(np.diag(many * inverse @ (blocks.T @ blocks) @ inverse))
+
+
+def first_coefficient(columns: np.ndarray, target: np.ndarray, block: np.ndarray,
+                      memory: float) -> tuple[float, float]:
+    """
+    Return the first coefficient of a robust regression, and its standard error.
+
+    By blocks of time, no smaller than if ``memory`` samples counted as one and others not.
+    """
+    weights, scale = robust(columns, target)
+    if not np.isfinite(scale):
+        return 0.0, np.inf
+    root = np.sqrt(weights)
+    scaled = columns * root[:, None]
+    values = np.linalg.lstsq(scaled, target * root, rcond=1e-10)[0]
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
+    scores = block_sums(scaled * (target * root - scaled @ values)[:, None], block)
+    return float(values[0]), float(np.sqrt(clustered(
+        scale ** 2 * inverse, scores / scale ** 2, memory)[0, 0]))
 
 
 def held_out_error(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> float:
@@ -114,7 +141,8 @@ def regress(regressors, torque, rate, block, friction: Callable, precision=0.0, 
 
 def block_scores(pieces: Sequence, values: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Return the `unshrunk` scores (blocks, B) at ``values`` of what `regress` returns."""
-    half, count = root_of_inverse(normal), 1 + max(block.max() for _, _, block, _ in pieces)
+    half = root_of_inverse(normal)
+    count = 1 + max(block.max(initial=0) for _, _, block, _ in pieces)
     at = own = len(half)
     total = at + sum(basis.shape[1] for *_, basis in pieces)
     scores, share = np.zeros((count, total)), np.zeros((count, total, total))
@@ -133,13 +161,17 @@ def weighting_of(regressors, torque, rate, friction: Callable, group=None) -> li
     """
     Return for each joint where it moves (S,) and the roots of the weights there.
 
-    Each ``group`` (S,) of rows, such as a recording, counts by its own noise.
+    Each ``group`` (S,) of rows, such as a recording, counts by its own noise: what friction
+    leaves, or friction and regressors together where rows are enough for these.
     """
     found = []
     for j in range(torque.shape[1]):
         rows = np.abs(rate[:, j]) > _SLOWEST * np.sqrt(np.mean(rate[:, j] ** 2))
-        columns = np.concatenate([regressors[rows, j], friction(j, rows)], axis=1)
-        columns = columns[:, columns.any(axis=0)]
-        weights, scale = robust(columns, torque[rows, j], None if group is None else group[rows])
+        own = friction(j, rows)
+        both = np.concatenate([regressors[rows, j], own], axis=1)
+        weights, scale = min((robust(
+            columns[:, columns.any(axis=0)], torque[rows, j],
+            None if group is None else group[rows]) for columns in (own, both)),
+            key=lambda one: np.median(one[1]) if rows.any() else 0.0)
         found.append((rows, np.sqrt(weights) / scale))
     return found

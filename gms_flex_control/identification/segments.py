@@ -92,6 +92,12 @@ def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
     return tuple(sides)
 
 
+def driven(recording: Recording, sides: Sequence[str]) -> np.ndarray:
+    """Return the joints whose links move by a known torque, bool (n,): one that ever changes."""
+    changes = np.ptp(np.nan_to_num(recording.tau_motor[2:]), axis=0) > 0.0
+    return changes | (np.array(sides) == 'spring')
+
+
 def _spring_mismatch(recording, robot, j):
     """Return rms of spring torque less motor equation, over that of the motor torque."""
     known = np.isfinite(recording.q_motor[:, j]) & np.isfinite(recording.q_link[:, j]) \
@@ -185,14 +191,15 @@ def _segment(recording, robot, sides, phases, rows, period, even):
         else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
     torque += effect_torque(robot, sides, grid - recording.time[0], whole,
                             _motors(recording, grid, time, rows), torque, period)
+    told = driven(recording, sides)
     windows = [smoothing_window(period, noise_of(recording.q_link[:, j]), inertia,
-                                np.std(torque[:, j]))
+                                np.std(torque[:, j]) if told[j] else np.inf)
                for j, inertia in enumerate(own_inertias(rigid_where(robot, sides).arm))]
     smooth = [derivatives(whole[:, j], period, window) for j, window in enumerate(windows)]
     tested, phase = _tested(phases, recording, grid, robot.joints)
     return Segment(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
-                   tested=tested, phase=phase, source=recording.source, window=max(windows))
+                   tested=tested & told, phase=phase, source=recording.source, window=max(windows))
 
 
 def one_by_one(pieces: list, robot: RobotParams, loads: Sequence = (),
@@ -334,17 +341,23 @@ def travel(segments: Sequence[Segment], joint: int) -> float:
                  - min(np.nanmin(segment.angle[:, joint]) for segment in segments))
 
 
-def while_moved(segments: Sequence[Segment]) -> list[Segment]:
+def while_moved(segments: Sequence[Segment], recordings: Sequence[Recording],
+                presliding=True) -> list[Segment]:
     """
     Return segments in which a joint is tested only if it is not held while others are moved.
 
-    What it gives way then says nothing of its friction. Where all are held, presliding is tested.
+    What it gives way then says nothing of its friction. Where all are held, its ``presliding`` is
+    tested. Widths are compared with those of whole ``recordings``: gaps cut a motion.
     """
     if not segments:
         return []
     width = np.array([[travel([one], j) for j in range(one.torque.shape[1])] for one in segments])
-    share = width / np.maximum(width.max(axis=0), _MOVED * width.max() + 1e-300)
-    held = (share < _HELD) & (share > _MOVED).any(axis=1)[:, None]
+    widest = np.max([np.nanmax(one.q_link, axis=0) - np.nanmin(one.q_link, axis=0)
+                     for one in recordings], axis=0)
+    share = width / np.maximum(widest, _MOVED * widest.max() + 1e-300)
+    held = share < _HELD
+    if presliding:
+        held &= (share > _MOVED).any(axis=1)[:, None]
     return [replace(one, tested=one.tested & ~own) for one, own in zip(
         segments, held, strict=True)]
 
