@@ -34,6 +34,7 @@ _CLOSE = 0.25         # of the best gain: with less, no hypothesis is fitted
 _NEARLY = 0.9         # of what an effect explains: a rival gains so much at a first guess
 _FAR = 3.0            # standard deviations that a nuisance parameter moves: its effect is another
 _ANEW = 2             # times that derivatives are then taken anew
+_WAITS = 0.1          # of the evidence gained since noise was simulated: less may be its error
 _ROUNDS = 4           # of adding, exchanging and taking derivatives anew
 
 
@@ -48,18 +49,16 @@ class Found(NamedTuple):
     dictionary: Dictionary
     nuisances: np.ndarray  # (P, R) derivatives by the nuisance parameters, of the last model
     hypotheses: int    # effects of joints that were looked for
-
-    def near(self, known) -> set[tuple[str, str]]:
-        """Return the effects of joints (effect, joint) that came near, set."""
-        ranked = self.dictionary.ranked(self.best.model, self.best.columns, PLAUSIBLE)
-        return {one.key for one in (*self.first, *ranked)}.union(
-            *(state.key(known) for state in self.tried))
+    is_done: bool      # whether no effects wait for noise that is simulated with those found
 
 
-def search(likelihood, *, most=MOST, excluded=(), begin=None, near=None,
+def search(likelihood, *, most=MOST, excluded=(), begin=None, wait=False,
            say=lambda text: None) -> Found:
     """
     Return the likeliest set of effects.
+
+    What null simulations of a robot lack that is found in it, their noise lacks as well: it may be
+    wrong by as much as a smaller effect gains.
 
     Parameters
     ----------
@@ -71,8 +70,8 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, near=None,
         Effects that are left out.
     begin : Found, optional
         Of a search with other null simulations: its effects are begun with.
-    near : collection of (str, str), optional
-        Effects of joints that are looked for; default all.
+    wait : bool
+        Whether effects wait for null simulations with those found if they gain much less.
     say : callable, optional
         Called with what is being done.
 
@@ -81,13 +80,15 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, near=None,
     Found
 
     """
-    hunt = _Search(likelihood, excluded, begin, near, say)
+    hunt = _Search(likelihood, excluded, begin, say)
     if begin is not None:
         hunt.take_up(begin)
-    improved = None
+    improved, least = None, _WAITS if wait else 0.0
     for _ in range(_ROUNDS):
         before = hunt.best.evidence
-        hunt.grow(most)
+        is_done = hunt.grow(most, least)
+        if not is_done:
+            break
         if hunt.best.key(likelihood.known) != improved:
             hunt.improve()
             improved = hunt.best.key(likelihood.known)
@@ -95,7 +96,7 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, near=None,
         if hunt.best.evidence < before + EVIDENCE:
             break
     return Found(hunt.before, hunt.best, tuple(hunt.tried.values()), hunt.first, hunt.scan,
-                 hunt.dictionary, hunt.nuisances, hunt.hypotheses)
+                 hunt.dictionary, hunt.nuisances, hunt.hypotheses, is_done)
 
 
 def count_of(likelihood, excluded) -> int:
@@ -106,18 +107,19 @@ def count_of(likelihood, excluded) -> int:
 class _Search:
     """The best set so far, and all that were tried."""
 
-    def __init__(self, likelihood, excluded, begin, near, say):
+    def __init__(self, likelihood, excluded, begin, say):
         self._likelihood, self._say, self._known = likelihood, say, likelihood.known
         x = begin.before.model.x if begin else np.zeros(len(likelihood.nuisances))
         # where nuisance parameters stand for something else, nothing would be left to explain
         plausible, self.nuisances = retuned(likelihood, likelihood.robot, x, PLAUSIBLE)
         self.hypotheses = begin.hypotheses if begin else count_of(likelihood, excluded)
         say('every effect along the motion')
-        self.dictionary, self.tried = Dictionary(likelihood, plausible, excluded, near), {}
+        self.dictionary, self.tried = Dictionary(likelihood, plausible, excluded), {}
         self.before = State(plausible, self.nuisances, self.nuisances[:0], -np.inf, PLAUSIBLE)
         self.best = self._tried(*retuned(
             likelihood, likelihood.robot, np.where(np.abs(x) > np.abs(plausible.x), x,
                                                    plausible.x), columns=self.nuisances))
+        self._begun = self.best.evidence
         self.first = begin.first if begin else tuple(
             self.dictionary.ranked(plausible, self.nuisances, PLAUSIBLE))
         self.scan = begin.scan if begin else self.dictionary.largest(plausible, self.nuisances)
@@ -153,30 +155,38 @@ class _Search:
             best = self.best
             self._take(state.model)
             self.best = max(best, self.best, key=lambda one: one.evidence)
+        self._begun = self.best.evidence
 
-    def grow(self, most) -> None:
-        """Add effects to the best sets while the evidence grows."""
-        beam = [self.best]
+    def grow(self, most, least) -> bool:
+        """
+        Add effects to the best sets while the evidence grows.
+
+        Return whether none was added or none waits: they do that would gain less than the share
+        ``least`` of what was gained.
+        """
+        beam, begun = [self.best], len(self.best.model.robot.effects)
         while (added := len(self.best.model.robot.effects) - self._known) < most:
             width = _BEAM if added < _FEW else 1
-            found = {one.key(self._known): one for state in beam
-                     for one in self._neighbours(state, width + 1 if width > 1 else 1)}
+            worth = max(EVIDENCE, least * (self.best.evidence - self._begun))
+            found = {one.key(self._known): one for state in beam for one in self._neighbours(
+                state, width + 1 if width > 1 else 1, worth)}
             states = sorted(found.values(), key=lambda one: -one.evidence)[:width]
-            if not states or states[0].evidence < self.best.evidence + EVIDENCE:
+            if not states or states[0].evidence < self.best.evidence + worth:
                 break
             self.best, beam = states[0], states
             last = self.best.model.robot.effects[-1]
             self._say(f'{last.name} of {last.joint}')
         if added > 1:
             self._take(self.best.model)
+        return not least or len(self.best.model.robot.effects) == begun
 
-    def _neighbours(self, state, shortlist):
+    def _neighbours(self, state, shortlist, worth):
         """Return the States with one effect more, the likeliest few that gain evidence."""
-        worth, found = EVIDENCE + 2.0 * np.log(self.hypotheses), {}
+        least, found = worth + 2.0 * np.log(self.hypotheses), {}
         for model, columns, limit in self._bases(state):
             ranked, better = self.dictionary.ranked(model, columns, limit), 0
             for one in ranked:
-                if one.gain < max(_CLOSE * ranked[0].gain, worth) or better == shortlist:
+                if one.gain < max(_CLOSE * ranked[0].gain, least) or better == shortlist:
                     break
                 if one.key in found:
                     continue

@@ -54,6 +54,7 @@ from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
+_SIMULATED = 3        # times at most that noise is simulated anew
 _SIZES = 4            # of sets that may predict better than the one found
 
 
@@ -195,28 +196,30 @@ def _searched(likelihood, options, say):
     Noise depends on the robot: where it sticks, say, encoder counts hide its friction; and torque
     noise was measured beside all that was missing.
     """
-    found = _sound(likelihood, search(likelihood, most=options.most, excluded=options.without,
-                                      say=say))
-    model = found.best.model
-    if len(model.robot.effects) == likelihood.known and np.all(
-            np.abs(model.x) < PLAUSIBLE * likelihood.sd):
+    def searched(begin=None, wait=True, without=options.without):
+        return search(likelihood, most=options.most, excluded=without, begin=begin, wait=wait,
+                      say=say)
+    found = _sound(likelihood, searched())
+    if len(found.best.model.robot.effects) == likelihood.known and np.all(
+            np.abs(found.best.model.x) < PLAUSIBLE * likelihood.sd):
         return likelihood, found
-    say('once more, with the noise of such a robot')
-    near, noise = found.near(likelihood.known), likelihood.noise
-    found = found._replace(dictionary=None)  # two of them would fill the memory
-    likelihood = likelihood.simulated_as(model)
-    # beside more effects there is less that may be taken for noise
-    likelihood = likelihood.with_noise(np.minimum(noise, white_noise(
-        likelihood, likelihood.fitted(model.robot, model.x))))
-    found = search(likelihood, most=options.most, excluded=options.without, begin=found,
-                   near=near, say=say)
+    for k in range(1, _SIMULATED + 1):
+        say('once more, with the noise of such a robot')
+        model, noise = found.best.model, likelihood.noise
+        found = found._replace(dictionary=None)  # two of them would fill the memory
+        likelihood = likelihood.simulated_as(model)
+        # beside more effects there is less that may be taken for noise
+        likelihood = likelihood.with_noise(np.minimum(noise, white_noise(
+            likelihood, likelihood.fitted(model.robot, model.x))))
+        found = searched(found, wait=k < _SIMULATED)
+        if found.is_done:
+            break
     hardly = _hardly_acting(likelihood, found.best)
     if hardly:
         kept = tuple(one for one in found.tried if not _hardly_acting(likelihood, one))
         found = found._replace(dictionary=None, tried=kept,
                                best=max(kept, key=lambda state: state.evidence))
-        found = search(likelihood, most=options.most, excluded=(*options.without, *hardly),
-                       begin=found, near=near, say=say)
+        found = searched(found, False, (*options.without, *hardly))
     return likelihood, found
 
 
