@@ -88,6 +88,7 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, wait=False,
         before = hunt.best.evidence
         is_done = hunt.grow(most, least)
         if not is_done:
+            hunt.settle()
             break
         if hunt.best.key(likelihood.known) != improved:
             hunt.improve()

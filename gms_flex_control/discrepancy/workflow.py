@@ -211,7 +211,7 @@ def _searched(likelihood, options, say):
         # beside more effects there is less that may be taken for noise
         likelihood = likelihood.with_noise(np.minimum(noise, white_noise(
             likelihood, likelihood.fitted(model.robot, model.x))))
-        found = searched(found, wait=k < _SIMULATED)
+        found = _sound(likelihood, searched(found, wait=k < _SIMULATED))
         if found.is_done:
             break
     hardly = _hardly_acting(likelihood, found.best)
