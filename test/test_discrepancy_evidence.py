@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The evidence of models: closed forms where all is linear and normal, and what is credible."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 from discrepancy_runs import driven_motion, retuned_of
