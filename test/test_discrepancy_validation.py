@@ -26,6 +26,7 @@ from gms_flex_control.discrepancy.validation import (
     FOLDS,
     Gain,
     gain_of,
+    prediction_cost,
     steps,
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy
@@ -68,6 +69,18 @@ def test_the_true_effect_gains_on_every_part_of_the_recording(case, likelihood):
     gain = gain_with(likelihood, replace(true, values=(0.5 * true.values[0],)))
     assert gain.is_real and gain.nats > 1000.0 and gain.sigmas > 5.0
     assert gain.blocks == likelihood.groups.blocks
+
+
+def test_prediction_one_sample_ahead_is_no_better_with_less_torque_of_everything(robot, gains):
+    """Residual torques are less then; errors of readings are not."""
+    likelihood = Likelihood([driven_motion(robot, gains, seed=1, duration=10.0)], robot)
+    x = np.array([-0.3 * (one.name in ('inertia', 'motor_inertia', 'stiffness', 'static', 'level',
+                                       'viscous')) for one in likelihood.nuisances])
+    less = robot
+    for joint in robot.joints:
+        less = with_effect(less, EffectSpec(name='torque_gain', joint=joint, values=(-0.3,)))
+    own, other = prediction_cost(likelihood, [(robot, 0.0 * x), (less, x)], 'arm')
+    assert own < other
 
 
 @pytest.mark.parametrize(('name', 'values'), [

@@ -10,6 +10,7 @@ nothing.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.fitting import numbers_of, steps_without
@@ -26,6 +27,7 @@ _FEWEST, _MOST = 8, 60  # samples of it
 _EDGE = 0.5           # at both ends, where smoothing is not settled [s]
 _LEAST = 4            # rows per number that is fitted: fewer decide nothing
 _RIDGE = 1e-12        # of the mean square
+_LEAST_INERTIA = 1e-9  # of an equation [kg m^2]
 
 
 class Gain(NamedTuple):
@@ -124,8 +126,7 @@ def prediction_cost(likelihood, models, joint) -> np.ndarray:
     likelihood : Likelihood
         With the recordings.
     models : sequence of (RobotParams, ndarray)
-        Robots and their nuisance parameters (P,). Only those of equal inertia compare: the
-        equations are errors of readings times inertia.
+        Robots and their nuisance parameters (P,).
     joint : str
         Whose equations; 'arm' for all.
 
@@ -144,11 +145,28 @@ def prediction_cost(likelihood, models, joint) -> np.ndarray:
         usable = fine.known & (np.abs(fine.time - 0.5 * (fine.time[0] + fine.time[-1]))
                                < 0.5 * np.ptp(fine.time) - _EDGE)
         for i, (robot, x) in enumerate(models):
-            left = unexplained(fine, likelihood.constants(robot, x))
+            constants = likelihood.constants(robot, x)
+            left = unexplained(fine, constants)
             for j in at:
                 own = left[:, [j, n + j]]
-                costs[i] += _innovation_cost(own[:, np.any(own, axis=0)], usable, fine.period)
+                acted = np.any(own, axis=0)
+                errors = own / np.where(acted, _inertia(fine, constants, own, j), 1.0)
+                costs[i] += _innovation_cost(errors[:, acted], usable, fine.period)
     return costs
+
+
+def _inertia(motion, constants, left, joint):
+    """
+    Return by how much both equations of a joint change with its own accelerations, mean (2,).
+
+    So much less than ``left`` (S, 2) they are where these are more: errors of readings are those
+    of equations divided by it.
+    """
+    second = motion.second.copy()
+    second[:, :, joint] += 1.0
+    more = unexplained(replace(motion, second=second, _kept={}), constants)
+    n = len(motion.samples.joints)
+    return np.maximum(np.mean(more[:, [joint, n + joint]] - left, axis=0), _LEAST_INERTIA)
 
 
 def _innovation_cost(left, usable, period):

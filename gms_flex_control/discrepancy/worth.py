@@ -33,8 +33,6 @@ from gms_flex_control.discrepancy.validation import (
 from gms_flex_control.effects.registry import find
 import numpy as np
 
-_OF_INERTIA = ('inertia', 'motor_inertia', 'gravity')
-
 
 class Worth(NamedTuple):
     """One effect of a model and what it is worth."""
@@ -117,12 +115,10 @@ def _torque_rms(likelihood, one, other):
 
 
 def _predicts(likelihood, found, spec, less):
-    """Return whether an effect makes prediction one sample ahead better, inertia as it is."""
+    """Return whether an effect makes prediction one sample ahead better."""
     model = found.best.model
-    inertia = np.array([one.name in _OF_INERTIA for one in likelihood.nuisances], dtype=bool)
     with_it, without_it = prediction_cost(
-        likelihood, [(model.robot, model.x), (less.robot, np.where(inertia, model.x, less.x))],
-        spec.joint)
+        likelihood, [(model.robot, model.x), (less.robot, less.x)], spec.joint)
     return without_it - with_it > EVIDENCE + 2.0 * np.log(found.hypotheses)
 
 
@@ -178,8 +174,7 @@ def timed(likelihood, found) -> Found:
     """
     Return the search's end with late effects exchanged where others predict better.
 
-    Lag and delay differ above the frequencies of the rows only. Both are compared beside all else
-    as fitted with the one, and as with the other.
+    Lag and delay differ above the frequencies of the rows only.
     """
     for i in range(likelihood.known, len(found.best.model.robot.effects)):
         model = found.best.model
@@ -195,11 +190,9 @@ def timed(likelihood, found) -> Found:
                 continue
             swapped, columns = refitted(likelihood, likelihood.fitted(
                 _instead(model.robot, i, other), model.x), found.nuisances)
-            costs = prediction_cost(likelihood, [
-                (_instead(one.robot, i, late), one.x) for late in (
-                    spec, swapped.robot.effects[i]) for one in (model, swapped)], spec.joint)
-            own, instead = costs.reshape(2, 2).sum(axis=1)
-            if instead < own - 2.0 * (EVIDENCE + 2.0 * np.log(found.hypotheses)):
+            own, instead = prediction_cost(likelihood, [
+                (one.robot, one.x) for one in (model, swapped)], spec.joint)
+            if instead < own - EVIDENCE - 2.0 * np.log(found.hypotheses):
                 best = state_of(likelihood, swapped, columns, found.hypotheses)
                 found = found._replace(best=best, tried=(best, *_tried_without(
                     likelihood, found, spec)))
