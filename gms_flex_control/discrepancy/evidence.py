@@ -11,6 +11,7 @@ before anything was measured.
 
 from typing import NamedTuple
 
+from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.fitting import (
     informative,
     limits,
@@ -21,12 +22,16 @@ from gms_flex_control.discrepancy.fitting import (
     without,
 )
 from gms_flex_control.discrepancy.likelihood import Fitted
+from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, OTHER_SIZE
+from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.registry import find
+from gms_flex_control.simulation import plant
 import numpy as np
 
-_LEAST_RATIO = 1e-3   # of encoder noise: a play shows none of it
+_SOFTEST = 0.05       # of the stiffness believed, which a play has
 _WEIGHINGS = 3        # times that noise levels are taken anew
+_OF_SLOPE = 2000      # samples of the regression that gives the slope of a spring
 
 
 class State(NamedTuple):
@@ -64,7 +69,7 @@ def state_of(likelihood, model, columns, hypotheses) -> State:
     added = len(model.robot.effects) - likelihood.known
     exact = likelihood.sums(model.rows, model.robot, model.x, exact=True)
     evidence = (-exact.cost - prior_cost(likelihood, model) - occam
-                + 2.0 * log_determinant(likelihood, exact)
+                + 2.0 * log_determinant(likelihood, model)
                 - 2.0 * added * np.log(max(hypotheses, 2)))
     return State(model, columns[:len(model.x)], columns[len(model.x):],
                  finite(evidence))
@@ -75,21 +80,56 @@ def finite(evidence) -> float:
     return float(evidence) if np.isfinite(evidence) else -np.inf
 
 
-def log_determinant(likelihood, sums) -> float:
+def log_determinant(likelihood, model) -> float | np.ndarray:
     """
     Return the logarithm of the determinant of rows by readings, of what is not encoder noise.
 
-    The density of readings is that of rows times this determinant: a model whose inertias, springs
-    and friction are all less makes less torque of any motion, which explains none of it. What null
-    simulations show is cleared from the ``sums``; what levels have beyond counts here. Encoder
-    noise is a change of all readings: by how much a model makes more of it than the robot of the
-    null simulations, in the mean over a group, is the determinant of its rows.
+    Beside the motion of a link its torsion is an answer, not a choice: so the density of readings
+    is that of rows times the slope of the spring. A softer spring makes less torque of all that
+    is read wrongly, which explains none of it. What null simulations show is cleared from the
+    sums; what levels have beyond counts here. As believed the determinant is 1.
     """
-    beyond = likelihood.groups.count * (1.0 - 1.0 / likelihood.noise_levels(sums.groups))
-    own = likelihood.encoder_noise.own_sums
-    seen = (own > 0.0) & (beyond > 0.0)
-    ratio = np.maximum(sums.noise[seen] / own[seen], _LEAST_RATIO)
-    return 0.5 * float(beyond[seen] @ np.log(ratio))
+    beyond = 1.0 - likelihood.weights(model.sums.groups)
+    if not beyond.any():
+        return 0.0
+    n, joints = likelihood.robot.n_joints, likelihood.robot.joints
+    believed, out = likelihood.robot.arm.stiffness, 0.0
+    beyond = np.bincount(likelihood.groups.recording * 2 * n + likelihood.groups.channel, beyond,
+                         2 * n * len(likelihood.motions)).reshape(-1, 2, n)[:, 1]
+    seen = np.isfinite(believed) & [joint not in likelihood.unseen for joint in joints]
+    constants = likelihood.constants(model.robot, model.x)
+    for motion, count in zip(likelihood.motions, beyond * seen, strict=True):
+        if count.any():
+            ratio = np.maximum(stiffness_along(motion, constants)[seen] / believed[seen], _SOFTEST)
+            out += float(count[seen] @ np.log(ratio))
+    return out
+
+
+@compiled
+def spring_torques(states, drive, time, period, constants, state, work, spring) -> None:
+    """Fill the torques (T, n) of springs along a motion (T, 6, n)."""
+    for k in range(drive.shape[0]):
+        plant.take_place(k, states, drive[k], time[k], state, work)
+        plant.springs(state, period, constants, work)
+        for j in range(drive.shape[1]):
+            spring[k, j] = work.signals[j, sig.SPRING]
+
+
+def stiffness_along(motion, constants) -> np.ndarray:
+    """
+    Return by how much spring torques change with the torsion along a motion, (n,) [N m/rad].
+
+    The slope of the regression line over some samples: that of a linear spring is its stiffness.
+    """
+    every = max(len(motion.time) // _OF_SLOPE, 1)
+    states, drive, time = (np.ascontiguousarray(one[::every]) for one in (
+        motion.states, motion.drive, motion.time))
+    torque = np.empty_like(drive)
+    spring_torques(states, drive, time, motion.period * every, constants,
+                   fresh_state(constants), plant.workspace(len(motion.samples.joints)), torque)
+    torsion = states[:, 3] - states[:, 0]
+    torsion = torsion - torsion.mean(axis=0)
+    return np.sum(torque * torsion, axis=0) / np.maximum(np.sum(torsion ** 2, axis=0), 1e-300)
 
 
 def posterior(states, known, trifles=frozenset()) -> list[tuple[frozenset, float]]:

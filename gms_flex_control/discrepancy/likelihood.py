@@ -64,7 +64,6 @@ class Sums(NamedTuple):
     groups: np.ndarray  # (G,)
     cost: float         # -2 log likelihood and -2 log prior, but for constants
     cleared: np.ndarray  # (G,) share of what noise adds that has been subtracted, 0 to 1
-    noise: np.ndarray  # (G,) of the difference that noise makes between two null simulations
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,8 +208,8 @@ class Likelihood:
         of_noise, groups = self.encoder_noise, self.groups
         noise = of_noise.anchored(robot, x, lambda: np.subtract(
             *self.of_pair(robot, x))) if exact else of_noise.along(robot, x)
-        own, noise = 0.5 * of_noise.own_sums, groups.sums(noise ** 2)
-        added, most = 0.5 * noise - own, _MOST_ADDED * own
+        own = 0.5 * of_noise.own_sums
+        added, most = 0.5 * groups.sums(noise ** 2) - own, _MOST_ADDED * own
         whole = groups.sums(rows ** 2)
         # a recording that is quieter than null simulations has less noise to be cleared of
         share = np.minimum(whole / np.maximum(own + np.maximum(added, 0.0), 1e-300), 1.0)
@@ -218,7 +217,7 @@ class Likelihood:
         least = np.minimum(whole, np.maximum(chance, 0.0))  # below, clearing is no merit
         cleared = np.maximum(whole - share * np.minimum(added, most), least)
         return Sums(cleared, self.misfit(cleared) + float(np.sum((x / self.sd) ** 2)),
-                    share * ((cleared > least) & (added < most)), noise)
+                    share * ((cleared > least) & (added < most)))
 
     def misfit(self, sums) -> np.ndarray:
         """Return -2 log likelihood of sums (..., G) at the likeliest noise levels."""
