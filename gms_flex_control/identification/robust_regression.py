@@ -34,11 +34,10 @@ def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = N
         root = np.sqrt(weights) / (1.0 if group is None else scale)  # one scale changes nothing
         values, _, rank, _ = np.linalg.lstsq(columns * root[:, None], target * root, rcond=1e-10)
         off = np.abs(target - columns @ values)
-        free = max(len(target) - rank, 0) / max(len(target), 1)
         scale = _scale(off) if group is None else _scales(off, group)
-        scale = scale / np.sqrt(free) if free else np.inf
         weights = np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-300))
-    return weights, scale
+    free = max(len(target) - rank, 0) / max(len(target), 1)
+    return weights, scale / np.sqrt(free) if free else np.full_like(scale, np.inf)
 
 
 def _scale(off):
