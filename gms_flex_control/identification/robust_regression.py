@@ -21,23 +21,26 @@ _SLOWEST = 0.05    # of the usual rate: below this a joint does not move
 _SAME = 1e-9       # of the largest singular value: no column of its own
 
 
-def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = None) -> tuple:
+def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = None, *,
+           by_freedom: bool = True) -> tuple:
     """
     Return the weights (S,) of rows in a robust regression (Huber), and the scale of their noise.
 
     That is the standard deviation of the residuals' bulk per degree of freedom, a number, or (S,)
     that of each row's ``group`` (S,): what carries a load is noisier. It is infinite where rows
-    are too few for the columns. ``columns`` (S, P), ``target`` (S,).
+    are too few for the columns. ``columns`` (S, P), ``target`` (S,). Not ``by_freedom`` it is that
+    of the residuals, and more of few rows are outliers.
     """
     weights, scale = np.ones(len(target)), 1.0
     for _ in range(_ROUNDS):
         root = np.sqrt(weights) / (1.0 if group is None else scale)  # one scale changes nothing
         values, _, rank, _ = np.linalg.lstsq(columns * root[:, None], target * root, rcond=1e-10)
         off = np.abs(target - columns @ values)
+        free = max(len(target) - rank, 0) / max(len(target), 1) if by_freedom else 1.0
         scale = _scale(off) if group is None else _scales(off, group)
+        scale = scale / np.sqrt(free) if free else np.inf
         weights = np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-300))
-    free = max(len(target) - rank, 0) / max(len(target), 1)
-    return weights, scale / np.sqrt(free) if free else np.full_like(scale, np.inf)
+    return weights, scale
 
 
 def _scale(off):
@@ -60,7 +63,7 @@ def solution(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> tupl
 
     Only blocks of time are independent: ``block`` (S,) has their numbers.
     """
-    root = np.sqrt(robust(columns, target)[0])
+    root = np.sqrt(robust(columns, target, by_freedom=False)[0])
     scaled, target = columns * root[:, None], target * root
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
     values = inverse @ (scaled.T @ target)
@@ -95,7 +98,7 @@ def held_out_error(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -
     for fold in range(_FOLDS):
         out = block % _FOLDS == fold
         if out.any() and not out.all():
-            root = np.sqrt(robust(columns[~out], target[~out])[0])
+            root = np.sqrt(robust(columns[~out], target[~out], by_freedom=False)[0])
             values = np.linalg.lstsq(columns[~out] * root[:, None], target[~out] * root,
                                      rcond=1e-10)[0]
             off[out] = target[out] - columns[out] @ values
