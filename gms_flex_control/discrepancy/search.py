@@ -83,10 +83,11 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, wait=False,
     hunt = _Search(likelihood, excluded, begin, say)
     if begin is not None:
         hunt.take_up(begin)
-    improved, least = None, _WAITS if wait else 0.0
+    begun, improved = hunt.best, None
     for _ in range(_ROUNDS):
-        before = hunt.best.evidence
-        is_done = hunt.grow(most, least)
+        before = hunt.best
+        hunt.grow(most, begun if wait else None)
+        is_done = not wait or len(hunt.best.model.robot.effects) == len(before.model.robot.effects)
         if not is_done:
             hunt.settle()
             break
@@ -94,7 +95,7 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, wait=False,
             hunt.improve()
             improved = hunt.best.key(likelihood.known)
         hunt.settle()
-        if hunt.best.evidence < before + EVIDENCE:
+        if hunt.best.evidence < before.evidence + EVIDENCE:
             break
     return Found(hunt.before, hunt.best, tuple(hunt.tried.values()), hunt.first, hunt.scan,
                  hunt.dictionary, hunt.nuisances, hunt.hypotheses, is_done)
@@ -120,7 +121,6 @@ class _Search:
         self.best = self._tried(*retuned(
             likelihood, likelihood.robot, np.where(np.abs(x) > np.abs(plausible.x), x,
                                                    plausible.x), columns=self.nuisances))
-        self._begun = self.best.evidence
         self.first = begin.first if begin else tuple(
             self.dictionary.ranked(plausible, self.nuisances, PLAUSIBLE))
         self.scan = begin.scan if begin else self.dictionary.largest(plausible, self.nuisances)
@@ -156,19 +156,18 @@ class _Search:
             best = self.best
             self._take(state.model)
             self.best = max(best, self.best, key=lambda one: one.evidence)
-        self._begun = self.best.evidence
 
-    def grow(self, most, least) -> bool:
+    def grow(self, most, begun=None) -> None:
         """
         Add effects to the best sets while the evidence grows.
 
-        Return whether none was added or none waits: they do that would gain less than the share
-        ``least`` of what was gained.
+        Those wait that gain much less than was gained since a State ``begun``.
         """
-        beam, begun = [self.best], len(self.best.model.robot.effects)
+        beam = [self.best]
         while (added := len(self.best.model.robot.effects) - self._known) < most:
             width = _BEAM if added < _FEW else 1
-            worth = max(EVIDENCE, least * (self.best.evidence - self._begun))
+            worth = EVIDENCE if begun is None else max(
+                EVIDENCE, _WAITS * (self.best.evidence - begun.evidence))
             found = {one.key(self._known): one for state in beam for one in self._neighbours(
                 state, width + 1 if width > 1 else 1, worth)}
             states = sorted(found.values(), key=lambda one: -one.evidence)[:width]
@@ -179,7 +178,6 @@ class _Search:
             self._say(f'{last.name} of {last.joint}')
         if added > 1:
             self._take(self.best.model)
-        return not least or len(self.best.model.robot.effects) == begun
 
     def _neighbours(self, state, shortlist, worth):
         """Return the States with one effect more, the likeliest few that gain evidence."""

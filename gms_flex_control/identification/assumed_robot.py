@@ -171,13 +171,12 @@ def at_own_rate(recording: Recording) -> Recording:
     known = np.nan_to_num(np.concatenate(
         [recording.q_link, recording.q_motor, recording.tau_motor], axis=1))
     time, period = recording.time, recording.period
-    fresh = np.flatnonzero(np.append(True, (np.diff(known, axis=0) != 0.0).any(axis=1)))
-    every = np.diff(time[fresh])
+    changed = np.append(True, (np.diff(known, axis=0) != 0.0).any(axis=1))
+    every = np.diff(time[changed])
     own = float(np.median(every)) if len(every) else 0.0
     if own < _HELD * period or np.mean(np.abs(every - own) < 1.5 * period) < _EVENLY:
         return recording
     kept, last = np.zeros(len(time), dtype=bool), -np.inf
-    changed = np.isin(np.arange(len(time)), fresh)
     for k, now in enumerate(time):  # a source at rest repeats itself
         if changed[k] or now - last > own + period:
             kept[k], last = True, now
