@@ -88,6 +88,7 @@ class Started(NamedTuple):
     namespace: str = ''
     remappings: tuple = ()
     ends_all: bool = False  # the launch ends with it
+    prefix: str = ''        # words before the executable
 
 
 def started(description, given, pushed=''):
@@ -129,7 +130,7 @@ def _process(action, known, common, namespace):
     options = action.options
     if _kind(action) == 'ExecuteProcess':
         words = [text(word, known) for word in options['cmd']]
-        return Started(words[0], words[1:], [], {})
+        return Started(words[0], words[1:], [], {}, prefix=text(options['prefix'], known))
     files, own = [], dict(common)
     for item in options.get('parameters', ()):
         if isinstance(item, dict):
@@ -139,4 +140,5 @@ def _process(action, known, common, namespace):
     words = [text(word, known) for word in options.get('arguments', ())]
     return Started(options['executable'], words, files, own, namespace,
                    tuple(options.get('remappings', ())),
-                   _kind(options.get('on_exit')) == 'Shutdown')
+                   _kind(options.get('on_exit')) == 'Shutdown',
+                   text(options.get('prefix', ''), known))

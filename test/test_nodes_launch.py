@@ -6,6 +6,7 @@
 from importlib import util
 import os
 from pathlib import Path
+import signal
 import stat
 import subprocess
 import sys
@@ -189,6 +190,25 @@ def test_arguments_reach_the_processes(name, start):
     shown = found['robot_state_publisher'].parameters['robot_description']
     assert shown == 'output of gms_flex urdf --robot "my.yaml"'
     assert Path(found['rviz2'].words[-1]).is_file()
+
+
+@pytest.mark.parametrize('name, code', [('plant_node', 0), ('gms_flex', 130)])
+def test_a_ctrl_c_while_python_itself_starts_prints_no_traceback(name, code, start, tmp_path):
+    process = start('closed_loop', record=str(tmp_path / 'bag'))[name]
+    node = subprocess.Popen([*process.prefix.split(), *module_of(name), *process.words],
+                            stderr=subprocess.PIPE, text=True)
+    while not blocks(node.pid, signal.SIGINT):
+        assert node.poll() is None
+    node.send_signal(signal.SIGINT)
+    assert 'Traceback' not in node.communicate(timeout=60)[1]
+    assert node.returncode == code
+
+
+def blocks(pid, number):
+    """Return whether a process lets a signal wait."""
+    lines = Path(f'/proc/{pid}/status').read_text().splitlines()
+    mask, = (int(line.split()[1], 16) for line in lines if line.startswith('SigBlk'))
+    return bool(mask >> (number - 1) & 1)
 
 
 RUN = """

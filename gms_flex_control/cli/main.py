@@ -99,6 +99,7 @@ def main(argv: list | None = None, prog: str = 'gms_flex', build=build_parser) -
     """Run a verb of ``build()`` with arguments, default those given; return the exit code."""
     with _noted_interrupts() as seen:
         try:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # see launch_parts
             parser = build()
             _complete(parser)
             args = _parsed(parser, sys.argv[1:] if argv is None else argv)

@@ -34,6 +34,8 @@ RECORDED = ('joint_states', 'effort_controller/commands', 'reference',
 _FRAMES = [('/tf', 'tf'), ('/tf_static', 'tf_static')]  # absolute in tf2, whatever the namespace
 _SWITCH = ('true', 'false')
 _ENVIRONMENT = {LAUNCHED: 'true'}
+# a Ctrl-C waits until the process has its handlers; till then Python would print a traceback
+_PREFIX = ['env --block-signal=INT ', LaunchConfiguration('launch-prefix', default='')]
 
 
 def config(name) -> PathJoinSubstitution:
@@ -100,8 +102,9 @@ def description(declared, actions) -> LaunchDescription:
 def node(executable, *parameters, **options) -> Node:
     """Return one of our nodes with the files of robot and controller, and what is its own."""
     files = [LaunchConfiguration('robot'), LaunchConfiguration('controller')]
-    return Node(package=PACKAGE, executable=executable, output='screen',
-                parameters=[*files, *parameters], additional_env=_ENVIRONMENT, **options)
+    return Node(package=PACKAGE, executable=executable, exec_name=executable, output='screen',
+                parameters=[*files, *parameters], additional_env=_ENVIRONMENT, prefix=_PREFIX,
+                **options)
 
 
 def closed_loop(controller=None, trajectory=None) -> list:
@@ -144,7 +147,7 @@ def _recorder():
     return ExecuteProcess(
         cmd=[ExecutableInPackage('gms_flex', PACKAGE), 'record', '--topics', *topics,
              '--out', bag],
-        output='screen', additional_env=_ENVIRONMENT,
+        name='gms_flex', output='screen', additional_env=_ENVIRONMENT, prefix=_PREFIX,
         condition=IfCondition(NotEqualsSubstitution(bag, '')))
 
 

@@ -32,6 +32,7 @@ def run(name) -> int:
     """Run a node until a signal comes; return its exit code."""
     for number in (signal.SIGINT, signal.SIGTERM):  # `run_node` has handlers of its own later
         signal.signal(number, lambda *_: os._exit(0))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # as launch_parts starts it
     try:
         module = import_module(f'gms_flex_control.nodes.{name}')
         process = import_module('gms_flex_control.nodes.process')
