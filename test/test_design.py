@@ -285,6 +285,24 @@ def swings(robot, gains):
         [0.3, 0.3], [4.0, 5.0], ramp_time=2.0))
 
 
+def test_what_is_foreseen_of_a_motion_is_what_its_recording_tells(robot, gains):
+    """A payload makes accelerations, and so encoder noise, weigh more: that is no evidence."""
+    laden = replace(robot, effects=(
+        EffectSpec(name='tip_payload', joint='arm', values=(0.03,)),))
+    first = _recording(laden, robot, gains, builders.sinusoid([0.0, 0.5], [3.0, 3.0],
+                                                             ramp_time=2.0))
+    sets = [frozenset({('tip_payload', 'arm')}), frozenset({('link_inertia_error', 'joint2')})]
+    beliefs = beliefs_of([first], robot, sets)
+    loop = loop_of(beliefs, gains, LIMITS, period=PERIOD)
+    motion = next(one for one in candidates(LIMITS, JOINTS, 1.5625) if one.name == 'strokes')
+    foreseen = predicted(beliefs, motion, 5.0, loop)
+    for a, (hypothesis, run) in enumerate(zip(beliefs.hypotheses, foreseen.runs, strict=True)):
+        then = beliefs_of([first, run], robot, sets)
+        order = [one.effects for one in then.hypotheses]
+        k = order.index(hypothesis.effects)
+        assert foreseen.odds[a, 1 - a] == pytest.approx(then.odds[k, 1 - k], abs=2.0)
+
+
 def test_ramps_below_break_away_load_friction_to_half_of_it_at_most(robot):
     reach = below_break_away(robot)
     one, = (one for one in candidates(LIMITS, JOINTS, stuck=reach)

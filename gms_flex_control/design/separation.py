@@ -297,13 +297,17 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
         runs = [loop.run(one, beliefs.robot, candidate, duration) for one in loop.fitted]
     except SimulationError:
         return None
-    odds = np.zeros((count, count))
+    odds, effects = np.zeros((count, count)), set().union(
+        *(one.effects for one in beliefs.hypotheses))
     noise = np.vstack([so_far.noise, np.sqrt(np.mean(so_far.noise ** 2, axis=0))])
     operation = Operation(together(loop.load, candidate.load))
     recordings = [replace(to_recording(run, plan), operation=operation) for plan, run in runs]
     for a, recording in enumerate(recordings):
         motions = [*so_far.motions, motion_of(recording, beliefs.robot)]
         likelihood = Likelihood(motions, beliefs.robot, seed, cautious=True).with_noise(noise)
+        # learns how encoder noise shows in the effects, without which fits take it for evidence
+        Dictionary(likelihood, likelihood.fitted(beliefs.robot, np.zeros(
+            len(likelihood.nuisances))), only=effects)
         states = [_state(likelihood, one, so_far.nuisances) for one in beliefs.hypotheses]
         odds[a] = log_odds(likelihood, [one.model for one in states],
                            [one.evidence for one in states])[a]
