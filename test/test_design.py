@@ -14,7 +14,7 @@ from gms_flex_control.data.conditions import conditions_of, repeat_conditions
 from gms_flex_control.data.recording import Operation
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.design import determination
-from gms_flex_control.design.determination import missing_of
+from gms_flex_control.design.determination import missing_of, plan_determination
 from gms_flex_control.design.motions import below_break_away, by_hand, candidates, random_moves
 from gms_flex_control.design.plan import (
     BUDGET,
@@ -29,11 +29,13 @@ from gms_flex_control.design.separation import (
     keeps,
     loaded,
     log_odds,
+    Loop,
     loop_of,
     predicted,
     Prediction,
     resolving,
     stops_within,
+    two_sigma,
 )
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import unexplained
@@ -381,10 +383,32 @@ def test_a_new_bag_states_the_load_of_the_last_and_the_weight_together(tmp_path)
 def test_information_about_what_is_missing_has_all_else_eliminated():
     """The variance is the inverse of a - b^2 / (c + prior), and of a determinant its logarithm."""
     information = np.array([[5.0, 3.0], [3.0, 2.0]])
-    worth = determination._worth(None, information, {0: ('blocks', 'joint1')}, np.array([0.1, 1.]))
+    worth = determination._Information(
+        information, [], np.array([0.1, 1.0]), {0: ('blocks', 'joint1')}).worth()
     left = 5.0 + 1e-4 - 9.0 / 3.0
     assert worth.information == pytest.approx(np.log(left))
     assert worth.sd == pytest.approx(0.1 / np.sqrt(left))
+
+
+def test_a_draw_is_two_standard_deviations_away():
+    root = np.random.default_rng(1).normal(size=(5, 5))
+    shift = two_sigma(root @ root.T, np.random.default_rng(2))
+    assert np.linalg.norm(np.linalg.solve(root, shift)) == pytest.approx(2.0)
+
+
+def test_what_determines_keeps_limits_with_the_load_and_two_deviations_away(
+        robot, gains, swings, monkeypatch):
+    loads = []
+
+    def keeps_limits(loop, one, believed, candidate, duration):
+        loads.append(loop.load)
+        return one is believed or candidate.name == 'strokes'
+    monkeypatch.setattr(Loop, 'keeps', keeps_limits)
+    found = plan_determination(
+        robot, [replace(swings, operation=Operation(WEIGHT))], [('blocks', 'joint2')], gains,
+        LIMITS, period=PERIOD, duration=5.0)
+    assert [one.candidate.name for one in found.compared] == ['strokes']
+    assert all(one is WEIGHT for one in loads)
 
 
 def test_what_identify_left_open_is_determined_by_the_motion_planned(

@@ -10,19 +10,19 @@ eliminated with what is known of them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.design.motions import below_break_away, Candidate, candidates
 from gms_flex_control.design.plan import clipped, PACES
-from gms_flex_control.design.separation import closed_loop_plan, Loop, stops_within
+from gms_flex_control.design.separation import DRAWS, Loop, stops_within, two_sigma
 from gms_flex_control.discrepancy.fitting import informative
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
-from gms_flex_control.discrepancy.nuisance import OfRecording
+from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.experiment.simulated import run_plan, to_recording
+from gms_flex_control.experiment.simulated import to_recording
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
@@ -40,7 +40,7 @@ _KINDS = {'static': ('static',), 'coulomb': ('level',), 'velocity': ('velocity',
 class Worth(NamedTuple):
     """What one motion is expected to tell."""
 
-    candidate: Candidate
+    candidate: Candidate | None  # None is the recordings so far
     information: float    # log det of it about the parameters not identified
     sd: np.ndarray        # (K,) relative standard deviations that it leaves
 
@@ -50,7 +50,7 @@ class Determination:
     """The motion to be recorded for an identification."""
 
     missing: tuple        # of str: what was not identified
-    before: Worth | None  # with the recordings so far
+    before: Worth         # with the recordings so far
     compared: tuple       # of Worth, the best first
     duration: float       # [s]
 
@@ -87,41 +87,66 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
     """
     Choose the motion with most information about what ``identify`` left open.
 
-    ``missing`` is from `missing_of`, ``recordings`` are those so far, perhaps none; ``duration``
-    is of the motion [s], the rest as of `plan_next`. ConfigError if nothing is missing that a
-    motion could tell, or every motion would cross a limit.
+    ``missing`` is from `missing_of`, ``recordings`` are those so far; ``duration`` is of the
+    motion [s], the rest as of `plan_next`. The robot keeps the limits as it is, and two standard
+    deviations of what the recordings tell away. ConfigError if nothing is missing that a motion
+    could tell, or every motion would cross a limit.
     """
-    loop = Loop(clipped(gains, limits), limits, period, (), (robot,))
-    before, found, so_far = None, [], 0.0
-    if recordings:
-        say('information in the recordings so far')
-        so_far, wanted, sd = _information(recordings, robot, missing)
-        before = _worth(None, so_far, wanted, sd)
-    stuck = below_break_away(robot)
+    say('information in the recordings so far')
+    so_far = _information(recordings, robot, missing)
+    loop = Loop(clipped(gains, limits), limits, period, (), (robot, *so_far.drawn(robot)),
+                recordings[-1].operation.load)
+    found, stuck = [], below_break_away(robot)
     for kind in zip(*(candidates(limits, robot.joints, pace, stuck=stuck) for pace in PACES),
                     strict=True):
         say(kind[0].words)
         one = next((one for one in kind if stops_within(one, robot.joints, duration, limits)
-                    and loop.keeps(robot, robot, one, duration)), None)
+                    and all(loop.keeps(each, robot, one, duration) for each in loop.kept)), None)
         if one is None:
             continue
-        plan = closed_loop_plan(robot, robot, one, duration, loop.gains, period=period)
-        gained, wanted, sd = _information([to_recording(run_plan(plan), plan)], robot, missing)
-        found.append(_worth(one, so_far + gained, wanted, sd))
+        plan, run = loop.run(robot, robot, one, duration)
+        gained = _information([replace(to_recording(run, plan), operation=Operation(loop.load))],
+                              robot, missing)
+        found.append(gained.and_of(so_far).worth(one))
     if not found:
         raise ConfigError('every motion would cross a limit; widen the limits, or look at gains '
                           'with gms_flex tune')
     found.sort(key=lambda one: -one.information)
-    return Determination(missing=tuple(' of '.join(key) for key in wanted.values()),
-                         before=before, compared=tuple(found), duration=duration)
+    return Determination(missing=tuple(' of '.join(key) for key in so_far.wanted.values()),
+                         before=so_far.worth(), compared=tuple(found), duration=duration)
+
+
+class _Information(NamedTuple):
+    """What recordings tell about relative changes of P parameters, in units of their priors."""
+
+    matrix: np.ndarray    # (P, P), without the priors
+    nuisances: list       # the parameters
+    sd: np.ndarray        # (P,) of the priors
+    wanted: dict          # (kind, joint) of those not identified, by index
+
+    def and_of(self, other) -> '_Information':
+        """Return that of both."""
+        return self._replace(matrix=self.matrix + other.matrix)
+
+    def drawn(self, robot) -> list:
+        """Return robots two standard deviations away."""
+        covariance, rng = np.linalg.inv(
+            self.matrix + np.eye(len(self.matrix))), np.random.default_rng(0)
+        return [with_nuisances(robot, self.nuisances, self.sd * two_sigma(covariance, rng))
+                for _ in range(DRAWS)]
+
+    def worth(self, candidate=None) -> Worth:
+        """Return the Worth for what is not identified, the others known within their priors."""
+        at = list(self.wanted)
+        prior = np.ones(len(self.matrix))
+        prior[at] = _NOTHING_KNOWN
+        covariance = np.linalg.inv(self.matrix + np.diag(prior))[np.ix_(at, at)]
+        return Worth(candidate, -float(np.linalg.slogdet(covariance)[1]),
+                     np.sqrt(np.diag(covariance)) * self.sd[at])
 
 
 def _information(recordings, robot, missing):
-    """
-    Return the information (P, P) about relative changes of parameters, over their priors.
-
-    And which are wanted, dict of index to (kind, joint), and standard deviations of priors.
-    """
+    """Return the _Information of recordings; ConfigError if of nothing that is missing."""
     likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot)
     own = [k for k, one in enumerate(likelihood.nuisances) if not isinstance(one, OfRecording)]
     keys = [_key(robot, likelihood.nuisances[k]) for k in own]
@@ -130,24 +155,12 @@ def _information(recordings, robot, missing):
         raise ConfigError('of what was not identified no motion tells more: '
                           + (', '.join(f'{name} of {joint}' for name, joint in missing)
                              or 'all is identified'))
-    x = np.zeros(len(likelihood.nuisances))
-    model = likelihood.fitted(robot, x)
+    model = likelihood.fitted(robot, np.zeros(len(likelihood.nuisances)))
     sd = likelihood.sd[own]
-    columns = informative(likelihood, model, likelihood.columns(model))[own]
-    scaled = columns * sd[:, None]
-    return scaled @ scaled.T, wanted, sd
+    scaled = informative(likelihood, model, likelihood.columns(model))[own] * sd[:, None]
+    return _Information(scaled @ scaled.T, [likelihood.nuisances[k] for k in own], sd, wanted)
 
 
 def _key(robot, nuisance):
     """Return (kind, joint) of a nuisance parameter."""
     return nuisance.name, 'arm' if nuisance.joint < 0 else robot.joints[nuisance.joint]
-
-
-def _worth(candidate, information, wanted, sd):
-    """Return the Worth of information about relative changes, known ones within their priors."""
-    at = list(wanted)
-    prior = np.ones(len(information))
-    prior[at] = _NOTHING_KNOWN
-    covariance = np.linalg.inv(information + np.diag(prior))[np.ix_(at, at)]
-    return Worth(candidate, -float(np.linalg.slogdet(covariance)[1]),
-                 np.sqrt(np.diag(covariance)) * sd[at])

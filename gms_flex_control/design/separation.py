@@ -45,7 +45,7 @@ from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
 from scipy.special import ndtr
 
-_DRAWS = 4          # from the posterior at two standard deviations, that must keep the limits
+DRAWS = 4           # from the posterior at two standard deviations, that must keep the limits
 _SIGMAS = 2.0
 _OVER = 0.02        # of a limit beyond it: rounding of encoders and of the reference
 _CLIPPED = 0.01     # of the time that torque may be at its limit: peaks of friction reversals
@@ -75,14 +75,10 @@ class Hypothesis:
         return ' and '.join(f'{effect} of {joint}' for effect, joint in sorted(self.effects)
                             ) or 'nothing missing'
 
-    def robot(self, likelihood, sigmas=0.0, rng=None) -> RobotParams:
-        """Return the robot, as fitted or drawn so many standard deviations from there."""
-        model, shift = self.model, np.zeros(len(self.covariance))
-        if rng is not None:
-            direction = rng.standard_normal(len(shift))
-            shift = sigmas * np.linalg.cholesky(self.covariance) @ (
-                direction / np.linalg.norm(direction))
-        count = len(model.x)
+    def robot(self, likelihood, rng=None) -> RobotParams:
+        """Return the robot, as fitted or drawn two standard deviations from there."""
+        model, count = self.model, len(self.model.x)
+        shift = np.zeros(len(self.covariance)) if rng is None else two_sigma(self.covariance, rng)
         return with_nuisances(
             at_values(model.robot, self.numbers, values_of(model.robot, self.numbers)
                       + shift[count:]), likelihood.nuisances, model.x + shift[:count])
@@ -109,6 +105,12 @@ class Beliefs:
         """Return that of each hypothesis (H,), equally likely before, by the odds of the first."""
         mass = np.exp(-np.maximum(self.odds[0], 0.0))
         return mass / mass.sum()
+
+
+def two_sigma(covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return a shift (C,) in a random direction, two standard deviations of a covariance long."""
+    direction = rng.standard_normal(len(covariance))
+    return _SIGMAS * np.linalg.cholesky(covariance) @ (direction / np.linalg.norm(direction))
 
 
 class Prediction(NamedTuple):
@@ -265,7 +267,7 @@ def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period
     """
     rng, so_far, believed = np.random.default_rng(0), beliefs.likelihood, beliefs.robot
     fitted = tuple(one.robot(so_far) for one in beliefs.hypotheses)
-    drawn = [one.robot(so_far, _SIGMAS, rng) for one in beliefs.hypotheses for _ in range(_DRAWS)]
+    drawn = [one.robot(so_far, rng) for one in beliefs.hypotheses for _ in range(DRAWS)]
     loop = Loop(gains, limits, period, fitted, (), beliefs.recordings[-1].operation.load)
     driven = [(loop._replace(load=one.operation.load), recorded_motion(one))
               for one in beliefs.recordings
