@@ -19,6 +19,7 @@ from gms_flex_control.design.motions import below_break_away, by_hand, candidate
 from gms_flex_control.design.plan import (
     BUDGET,
     INSEPARABLE,
+    NextRecording,
     plan_next,
     separate,
     SHORTEST,
@@ -67,6 +68,14 @@ def test_references_keep_range_and_velocity(pace):
         assert (angle >= LIMITS.lower).all() and (angle <= LIMITS.upper).all(), one.name
         assert (np.abs(velocity) <= LIMITS.velocity).all(), one.name
         assert np.ptp(angle, axis=0).max() > 0.0, one.name
+
+
+def test_tones_are_chirps_that_hardly_peak_and_joints_are_not_in_step():
+    """A sine peaks at 1.41 times its rms, tones of random phases at 2.5 times."""
+    one = next(one for one in candidates(LIMITS, JOINTS) if one.name == 'tones')
+    rate = one.trajectory(JOINTS).sample(PERIOD * np.arange(500, 3500))[:, 1]
+    assert (np.abs(rate).max(axis=0) < 2.0 * rate.std(axis=0)).all()
+    assert abs(np.corrcoef(rate.T)[0, 1]) < 0.1
 
 
 def test_indistinguishable_effects_of_a_finding_survive_beside_the_credible_models():
@@ -211,6 +220,15 @@ def test_odds_as_wanted_are_even_chances_and_each_explanation_is_confirmed_by_it
     assert chances(wanted, -50.0) == pytest.approx([0.5, 0.0], abs=1e-3)
     assert chances(-50.0, 60.0) == pytest.approx([0.0, 1.0], abs=0.1)
     assert (chances(60.0, 60.0) > chances(20.0, 20.0)).all()
+
+
+def test_a_motion_separates_as_fast_as_its_worst_pair(beliefs):
+    """From 1 to 9 and from -1 to 5 in 4 s: 1.5 a second."""
+    one = Prediction(None, 4.0, np.array([[0.0, 9.0], [5.0, 0.0]]), ())
+    plan = NextRecording(beliefs=replace(beliefs, odds=np.array([[0.0, 1.0], [-1.0, 0.0]])),
+                         wanted=np.log(99.0), best=one, probability=0.9, compared=(one,),
+                         refused=())
+    assert plan.pace(one) == pytest.approx(1.5)
 
 
 def test_the_motion_is_chosen_that_confirms_the_truth_soonest_whichever_it_is(
@@ -430,7 +448,7 @@ def test_what_identify_left_open_is_determined_by_the_motion_planned(
     best = values['compared'][0]
     assert best['log_determinant'] == max(one['log_determinant'] for one in values['compared'])
     assert (np.array(best['sd']) < values['sd_before']).all()
-    assert 'attraction of joint2 to' in capsys.readouterr().out
+    assert 'attraction of joint2 to' in ' '.join(capsys.readouterr().out.split())
     assert (tmp_path / 'plan' / 'trajectory.yaml').is_file()
     assert main([*map(str, arguments), '--weight', '1']) == 2
     assert 'separate explanations of discrepancy' in capsys.readouterr().err

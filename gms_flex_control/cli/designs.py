@@ -80,9 +80,10 @@ def next_recording(args) -> int:
         return int(plan.probability < LIKELY)
     numbers = tuple(Number(
         f'{one.duration:.0f} s of {one.candidate.words}',
-        f'{100.0 * plan.share(one):.0f} %', '', '')
+        f'{100.0 * plan.share(one):.0f} %', f'{plan.pace(one):.2g}', '')
         for one in plan.compared[:3])
-    conclude(Answer(plan.sentence(), ('leaves the true one', '', ''), numbers, command(
+    conclude(Answer(plan.sentence(), (
+        'leaves the true one', 'log Bayes factor a second', ''), numbers, command(
         'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',
         f'{plan.best.duration:.0f}', '--out', out / 'bag')),
         {'motion': trajectory, 'picture': out / 'plan.png', 'numbers': out / 'plan.json'})
@@ -286,7 +287,7 @@ def _as_dict(plan):
     def of(one):
         return {'motion': one.candidate.name, 'duration': one.duration,
                 'minutes_by_hand': one.candidate.minutes,
-                'log_odds': one.odds.round(3)}
+                'log_odds': one.odds.round(3), 'log_bayes_factor_per_second': plan.pace(one)}
     return {'sentence': plan.sentence(), 'wanted': plan.wanted,
             'explanations': [one.words for one in plan.beliefs.hypotheses],
             'best': of(plan.best), 'compared': [of(one) for one in plan.compared],

@@ -63,7 +63,7 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0,
     found = [
         swing('short_swings', f'short fast swings of {several}', _SHORT * reach),
         swing('medium_swings', f'medium fast swings of {several}', _MEDIUM * reach),
-        _tones('tones', f'many tones at once of {several}', reach, limits, joints, pace, 0),
+        _tones('tones', f'chirps of {several}, each of many tones', reach, limits, joints, pace),
         swing('fast_swings', f'wide fast swings of {several}', reach),
         random_moves(limits, joints, 0, pace),
         swing('tiny_swings', f'tiny quick swings of {several}', _TINY * reach),
@@ -140,11 +140,16 @@ def _swing(name, words, amplitude, limits, joints, slower):
     return Candidate(name, words, parameters)
 
 
-def _tones(name, words, reach, limits, joints, slower, seed):
-    """Return a Fourier series of random phases, its velocities alike, as fast as limits allow."""
+def _tones(name, words, reach, limits, joints, slower):
+    """
+    Return a Fourier series, its velocities alike, as fast as limits allow.
+
+    Its phases make each period a chirp, whose velocity hardly peaks (Schroeder 1970); that of each
+    joint begins a radian of the period before that of the last.
+    """
     order = np.arange(1, _TONES + 1)[:, None]
     turn = 2.0 * np.pi * order[:, :, None] * np.linspace(0.0, 1.0, 400)
-    phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, (_TONES, len(joints)))
+    phase = order * (np.pi / _TONES * (order - 1) + np.arange(len(joints)))
     period = _PERIOD * slower
 
     def peak(power):  # of the derivative of this order (n,)

@@ -59,6 +59,11 @@ class NextRecording:
         """Return the probability that a motion leaves one hypothesis, the true one."""
         return float(self.beliefs.probabilities @ resolving(self.beliefs, one.odds, self.wanted))
 
+    def pace(self, one: Prediction) -> float:
+        """Return the expected log Bayes factor of the worst pair in a second [1/s]."""
+        gain = (one.odds - self.beliefs.odds) / one.duration
+        return float(gain[~np.eye(len(gain), dtype=bool)].min())
+
     def sentence(self) -> str:
         """Return what to record and what it will show."""
         best, count = self.best, len(self.beliefs.hypotheses)
