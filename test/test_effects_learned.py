@@ -5,12 +5,13 @@
 
 from dataclasses import replace
 import json
+from types import SimpleNamespace
 
 from bench.hidden_robots import outsiders
 from bench.hidden_robots.cases import make_case
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control.feedforward import as_parameters
-from gms_flex_control.discrepancy.learned_words import formula_of
+from gms_flex_control.discrepancy.learned_words import described, formula_of
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
@@ -84,7 +85,7 @@ def test_random_closed_cycles_give_no_energy(name):
     """Each begins and ends at rest at the same place; loads are whatever they like."""
     rng, dt = np.random.default_rng(3), 1e-3
     time = np.arange(2001) * dt
-    for _ in range(300):
+    for _ in range(1000):
         orders, sizes = rng.integers(1, 9, 4), rng.uniform(-0.15, 0.15, 4)
         q = rng.uniform(-0.3, 0.5) + sum(size * (1.0 - np.cos(2.0 * np.pi * order * time / 2.0))
                                          for size, order in zip(sizes, orders, strict=True))
@@ -143,6 +144,20 @@ def test_a_curve_is_put_into_words_by_what_it_was_made_of(shape, y, numbers):
     found = formula_of(X, y + 2e-4 * np.random.default_rng(0).normal(size=len(X)))
     assert found.shape == shape and found.error < 0.05
     assert np.allclose(np.abs(found.numbers[:len(numbers)]), np.abs(numbers), rtol=0.05, atol=0.01)
+
+
+@pytest.mark.parametrize('name, words', [
+    ('learned_rate_friction', '1.2 N per m/s'), ('learned_hysteresis', '1.2 N in all'),
+    ('learned_resonance', '1.2 kg at')])
+def test_of_a_linear_axis_words_are_of_forces_and_metres(name, words):
+    """The curve rises by 1.2 N over 1 m/s; weights of the others add up to 1.2."""
+    count = registry.find(name).count
+    weights, ends = (np.linspace(0.0, 6.0, count), RANGES[name]) if name == (
+        'learned_rate_friction') else (np.full(count, 1.2 / count), RANGES[name])
+    spec = EffectSpec(name=name, joint='slide', values=(*weights, *ends))
+    arm = SimpleNamespace(axes='linear')
+    assert words in described(spec, (0.0, 5.0) if name == 'learned_rate_friction' else None,
+                              arm)[0]
 
 
 @pytest.fixture(scope='module')

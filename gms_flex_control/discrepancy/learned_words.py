@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.describe import angle_scale, torque_scale
 from gms_flex_control.effects import learned as shapes
+from gms_flex_control.params.arm import in_units
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -101,9 +102,9 @@ def curve_of(spec, span) -> tuple[np.ndarray, np.ndarray]:
     return x, np.array([shapes.curve(one, p) for one in x])
 
 
-def described(spec, span) -> tuple[str, float]:
+def described(spec, span, arm) -> tuple[str, float]:
     """
-    Return what a learned term looks like, and the error of that.
+    Return what a learned term looks like, in units of an arm, and the error of that.
 
     Parameters
     ----------
@@ -111,6 +112,8 @@ def described(spec, span) -> tuple[str, float]:
         Of a kind of effects.learned.
     span : (float, float) or None
         Lowest and highest value of its variable in the recordings; None of no curve.
+    arm : ArmParams
+        Its axes are rotary or linear.
 
     Returns
     -------
@@ -120,24 +123,27 @@ def described(spec, span) -> tuple[str, float]:
         Rms of what the formula leaves over rms of the curve; NaN of no curve.
 
     """
-    kind = shapes.KINDS[spec.name]
-    weights = np.array(spec.values[:kind.count])
     if span is None:
-        lowest, highest = spec.values[kind.count:kind.count + 2]
-        places = np.geomspace(lowest, highest, kind.count)
-        shown = weights > _TOLD * weights.max()
-        if spec.name == 'learned_hysteresis':
-            torque, angle = torque_scale(weights.sum()), angle_scale(places[shown])
-            return (f'a hysteresis of {spec.joint} of {torque.text(weights.sum())} {torque.unit} '
-                    f'in all, of elements that yield at '
-                    f'{", ".join(map(angle.text, places[shown]))} {angle.unit}', np.nan)
-        return (f'a resonance of {spec.joint} of {weights.sum():.3g} kg m^2 at '
-                f'{", ".join(f"{one:.3g}" for one in places[shown])} Hz', np.nan)
+        return in_units(arm, _of_elements(spec)), np.nan
     formula, (what, like) = formula_of(*curve_of(spec, span)), _WHAT[spec.name]
     unit = _UNITS.get(spec.name, 'rad')
     error = f'{100.0 * formula.error:.0f} % of it rms'
-    return (f'{what} of {spec.joint} {like} {_in_words(formula, unit, spec.name)} (error {error})',
-            formula.error)
+    return in_units(arm, f'{what} of {spec.joint} {like} {_in_words(formula, unit, spec.name)} '
+                    f'(error {error})'), formula.error
+
+
+def _of_elements(spec):
+    """Return a term that is no curve in words."""
+    count = shapes.KINDS[spec.name].count
+    weights = np.array(spec.values[:count])
+    places = np.geomspace(*spec.values[count:count + 2], count)[weights > _TOLD * weights.max()]
+    if spec.name == 'learned_hysteresis':
+        torque, angle = torque_scale(weights.sum()), angle_scale(places)
+        return (f'a hysteresis of {spec.joint} of {torque.text(weights.sum())} {torque.unit} '
+                f'in all, of elements that yield at {", ".join(map(angle.text, places))} '
+                f'{angle.unit}')
+    return (f'a resonance of {spec.joint} of {weights.sum():.3g} kg m^2 at '
+            f'{", ".join(f"{one:.3g}" for one in places)} Hz')
 
 
 def _in_words(formula, unit, name):
@@ -174,7 +180,7 @@ def words_of(terms, before=None, after=None) -> str:
             f'free runs {change(before.free_after, after.free_after)} times what it was without.')
 
 
-def words_of_drift(spec, span) -> str:
-    """Return a sentence on a change of friction over a range of time, which is not written."""
-    return (f'What is unexplained includes {described(spec, span)[0]}: it belongs to this '
-            'recording and is not in the model.')
+def words_of_drift(formula) -> str:
+    """Return a sentence on a change of friction over time, which is not written."""
+    return (f'What is unexplained includes {formula}: it belongs to this recording and is not in '
+            'the model.')

@@ -189,14 +189,14 @@ class _Learning:
                 if not gain._replace(sigmas=gain.sigmas / self._caution).is_real:
                     continue
                 if not shapes.KINDS[one.spec.name].written:
-                    drift = words_of_drift(one.spec, self._ranges_of(one))
+                    drift = words_of_drift(self._described(one)[0])
                     continue
                 closer = self._closer(one.state, gap)
                 if closer is not None:
                     break
             else:
                 return state, tuple(terms), gap, drift
-            formula, error = described(one.spec, self._ranges_of(one))
+            formula, error = self._described(one)
             terms.append(LearnedTerm(one.spec.name, one.spec.joint, formula, error,
                                      self._freedom(one), gain))
             state, gap = one.state, closer
@@ -206,10 +206,11 @@ class _Learning:
     def _gap(self, state):
         return HeldOut(self.likelihood, self._measured).gap(self._before, state)
 
-    def _ranges_of(self, one):
-        """Return the range of the variable of a candidate's term, None of no curve."""
-        j = self.likelihood.robot.joints.index(one.spec.joint)
-        return self._ranges[j].get(_CURVES.get(one.spec.name))
+    def _described(self, one):
+        """Return what the term of a candidate looks like, and the error of that."""
+        robot = self.likelihood.robot
+        ranges = self._ranges[robot.joints.index(one.spec.joint)]
+        return described(one.spec, ranges.get(_CURVES.get(one.spec.name)), robot.arm)
 
     def _gain(self, one, state):
         """Return the Gain of a candidate on blocks left out, over the model without it."""
