@@ -99,10 +99,12 @@ def learn(result, *, holdout=(), say=lambda text: None) -> Discrepancy:
 def _learned(result, holdout, say):
     """Return `learn` of a result in which something is unexplained."""
     likelihood = result.behind.likelihood
+    # of known parameters a little off, which a term may stand for
+    alone = replace(result.gap, after=result.gap.retuned, free_after=result.gap.free_before)
     say('learning a term for what is unexplained')
     for learning, begin in _begun(result, holdout, say):
         state, terms, gap, drift = learning.run(learning.state(begin))
-        if terms and _is_closer(likelihood, gap, result.gap):
+        if terms and all(_is_closer(likelihood, gap, other) for other in (result.gap, alone)):
             break
     else:
         return result.saying(drift or words_of(()))
