@@ -3,9 +3,10 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Filters that recordings are looked at through."""
 
-from gms_flex_control.data.signal_analysis import low_pass, low_pass_bandwidth
+from gms_flex_control.data.signal_analysis import derivatives, low_pass, low_pass_bandwidth
 import numpy as np
 import pytest
+from scipy.signal import savgol_filter
 
 
 @pytest.mark.parametrize('window', range(2, 16))
@@ -25,3 +26,14 @@ def test_a_low_pass_has_lost_three_decibels_at_its_bandwidth():
     wave = np.sin(2.0 * np.pi * low_pass_bandwidth(20, 1e-3) * time)
     ratio = np.std(low_pass(wave, 20)[500:-500]) / np.std(wave[500:-500])
     assert ratio == pytest.approx(np.sqrt(0.5), rel=0.02)
+
+
+@pytest.mark.parametrize(('samples', 'window'), [(500, 17), (500, 1), (12, 17), (2, 5)])
+def test_derivatives_are_those_of_scipy_up_to_both_ends(samples, window):
+    period = 2e-3
+    walk = np.random.default_rng(samples + window).standard_normal((samples, 2)).cumsum(axis=0)
+    length = min(window, 2 * ((samples - 1) // 2) + 1)
+    for order, found in enumerate(derivatives(walk, period, window)):
+        expected = savgol_filter(walk, length, min(3, length - 1), order, period, axis=0)
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+    assert np.array_equal(*derivatives(walk, period, window, (2,)), found)

@@ -279,3 +279,13 @@ def test_a_servo_with_a_pendulum_is_predicted_no_worse_than_by_coulomb_and_visco
     gravity = next(estimate for estimate in found.joints[0].estimates
                    if estimate.name == 'arm.joint1.gravity_torque')
     assert 0.3 < gravity.value < 0.7  # 0.49 kg at 0.1 m and the arm that carries it
+
+
+@real
+def test_a_machine_is_answered_though_what_is_found_of_it_runs_away():
+    """The motor hardly slows down before it slips: friction at rest is not in that motion."""
+    machine = MACHINES['odri_motor']
+    split = next(one for one in machine.splits if 'slip' in one.name)
+    recordings = [machine.recording(piece) for piece in split.fitted]
+    robot, _ = identified(machine, recordings)
+    assert find_discrepancy(recordings, robot).robot is not None

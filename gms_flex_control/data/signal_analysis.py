@@ -3,12 +3,14 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What signals say of themselves: resolution, derivatives without lag, signs of torque, waves."""
 
+from collections.abc import Iterable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import correlate1d, uniform_filter1d
 from scipy.optimize import nnls
-from scipy.signal import savgol_filter, upfirdn
+from scipy.signal import savgol_coeffs, upfirdn
 
 MOVING = 0.02        # below this part of the top speed a direction is not relied on
 _ORDER_STEPS = 20    # resolution steps a derivative window should travel at top speed
@@ -278,13 +280,28 @@ def low_pass_window(bandwidth: float, period: float) -> int:
     return 2 * max(round(_BANDWIDTH / (bandwidth * period)), 1)
 
 
-def derivatives(values: np.ndarray, period: float, window: int) -> tuple:
+def derivatives(values: np.ndarray, period: float, window: int,
+                orders: Iterable[int] = range(3)) -> tuple:
     """
     Return values (T, ...), evenly sampled without gaps, and two derivatives, all without lag.
 
-    All three through the same local cubic fit (Savitzky-Golay) of ``window`` samples, odd.
+    All three through the same local cubic fit (Savitzky-Golay) of ``window`` samples, odd; or
+    only those ``orders`` of derivative that are asked for.
     """
     window = min(window, 2 * ((len(values) - 1) // 2) + 1)
-    order = min(_ORDER, window - 1)
-    return tuple(savgol_filter(values, window, order, deriv=k, delta=period, axis=0)
-                 for k in range(3))
+    half, out = window // 2, []
+    for order in orders:
+        rows = _local_fit(window, min(_ORDER, window - 1), order) / period ** order
+        one = correlate1d(values, rows[half], axis=0, mode='constant')
+        if half:
+            one[:half] = np.tensordot(rows[:half], values[:window], 1)
+            one[-half:] = np.tensordot(rows[half + 1:], values[-window:], 1)
+        out.append(one)
+    return tuple(out)
+
+
+@lru_cache(maxsize=64)
+def _local_fit(window, degree, order):
+    """Return the derivatives (W, W) at each of W samples, of period 1, of the fit to all."""
+    return np.array([savgol_coeffs(window, degree, order, pos=at, use='dot')
+                     for at in range(window)])

@@ -252,11 +252,10 @@ def _with_unseen_links(motion, constants, drive):
             shift[:, j] = low_pass(
                 filtered_alike(begun, weight) + on_motor[:, j] / stiffness[:, j],
                 max(round(link.window / motion.factor), 2)) - begun
-        moved = np.stack(derivatives(shift[:, joints], motion.period, smoothing(motion.period)),
-                         axis=1)
-        moved[:, 0] = shift[:, joints]
-        states[:, :3, joints] += moved
-        second[:, 0, joints] += second_difference(shift[:, joints], motion.period)
+        moved = shift[:, joints]
+        states[:, :3, joints] += np.stack([moved, *derivatives(
+            moved, motion.period, smoothing(motion.period), (1, 2))], axis=1)
+        second[:, 0, joints] += second_difference(moved, motion.period)
     return states, second
 
 

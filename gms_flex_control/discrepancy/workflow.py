@@ -20,7 +20,7 @@ from gms_flex_control.discrepancy.findings import (
     predicting_subset,
     predictive,
 )
-from gms_flex_control.discrepancy.fitting import retuned
+from gms_flex_control.discrepancy.fitting import is_within, retuned
 from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
@@ -199,21 +199,21 @@ def _searched(likelihood, options, say):
     def searched(begin=None, wait=True, without=options.without):
         return search(likelihood, most=options.most, excluded=without, begin=begin, wait=wait,
                       say=say)
-    found = _sound(likelihood, searched())
-    if len(found.best.model.robot.effects) == likelihood.known and np.all(
-            np.abs(found.best.model.x) < PLAUSIBLE * likelihood.sd):
-        return likelihood, found
-    for k in range(1, _SIMULATED + 1):
+    found = None
+    for k in range(_SIMULATED + 1):
+        found = searched(found, k < _SIMULATED)
+        sound = _sound(likelihood, found)
+        if sound is None:
+            break  # noise stays that of the robot believed, which keeps to the motion
+        found, model, noise = sound, sound.best.model, likelihood.noise
+        if found.is_done if k else _is_as_believed(likelihood, model):
+            break
         say('once more, with the noise of such a robot')
-        model, noise = found.best.model, likelihood.noise
         found = found._replace(dictionary=None)  # two of them would fill the memory
         likelihood = likelihood.simulated_as(model)
         # beside more effects there is less that may be taken for noise
         likelihood = likelihood.with_noise(np.minimum(noise, white_noise(
             likelihood, likelihood.fitted(model.robot, model.x))))
-        found = _sound(likelihood, searched(found, wait=k < _SIMULATED))
-        if found.is_done:
-            break
     hardly = _hardly_acting(likelihood, found.best)
     if hardly:
         kept = tuple(one for one in found.tried if not _hardly_acting(likelihood, one))
@@ -229,12 +229,16 @@ def _hardly_acting(likelihood, state):
             if find(spec.name).hardly_acts(spec.values, likelihood.scales_of(spec.joint))}
 
 
+def _is_as_believed(likelihood, model):
+    """Return whether a model has no effects, and nuisance parameters that are plausible."""
+    return len(model.robot.effects) == likelihood.known and is_within(likelihood, model, PLAUSIBLE)
+
+
 def _sound(likelihood, found):
-    """Return a search with the likeliest set of effects with which the robot does not run away."""
-    for state in (found.best, *sorted(found.tried, key=lambda state: -state.evidence)):
-        if likelihood.is_followed(state.model):
-            return found._replace(best=state)
-    return found
+    """Return a search with the likeliest model that does not run away, None if all do."""
+    return next((found._replace(best=state) for state in (
+        found.best, *sorted(found.tried, key=lambda state: -state.evidence))
+        if likelihood.is_followed(state.model)), None)
 
 
 def _left_over(likelihood, model, free, gap, measured=None):
