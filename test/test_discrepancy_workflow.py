@@ -143,6 +143,18 @@ def test_a_hole_in_an_angle_is_left_out():
     assert 'is no number in 200 samples' in result.words
 
 
+def test_an_answer_says_where_errors_are_noise_without_the_effects_as_well(named, tmp_path):
+    _, result = named
+    gap = result.gap
+    quiet = replace(gap, after=1.03 * gap.retuned, free_after=1.03 * gap.free_before,
+                    floor=gap.retuned, free_floor=gap.free_before)
+    said = discrepancy_answer(replace(result, gap=quiet), tmp_path).sentence
+    assert said.count('is at its noise floor either way') == 2
+    loud = replace(quiet, floor=0.5 * gap.retuned)
+    said = discrepancy_answer(replace(result, gap=loud), tmp_path).sentence
+    assert 'the residual torque grows by 3 %' in said and said.count('either way') == 1
+
+
 def test_one_joint_is_named_where_another_is_unexplained(tmp_path):
     """A torque of time on the link of joint1, which no effect explains; a level on joint2."""
     rng, time = np.random.default_rng(4), np.arange(8000) * 2e-3

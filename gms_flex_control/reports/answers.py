@@ -246,6 +246,8 @@ def _change(name, without, found, floor):
     """Return an error's name, how it changes in words, and whether it shrinks to its floor."""
     before, after, least = map(_total, (without, found, floor))
     share = 1.0 - after / before
+    if share < _CHANGED and max(before, after) <= _AT_FLOOR * least:
+        return name, f'{name} is at its noise floor either way', False
     if abs(share) < _CHANGED:
         return name, f'{name} stays as it is', False
     return (name, f'{name} {"shrinks" if share > 0.0 else "grows"} by {100.0 * abs(share):.0f} %',
