@@ -10,6 +10,7 @@ import signal
 import stat
 import subprocess
 import sys
+import time
 
 from gms_flex_control import nodes
 from gms_flex_control.data.reader import read_recording
@@ -197,8 +198,9 @@ def test_a_ctrl_c_while_python_itself_starts_prints_no_traceback(name, code, sta
     process = start('closed_loop', record=str(tmp_path / 'bag'))[name]
     node = subprocess.Popen([*process.prefix.split(), *module_of(name), *process.words],
                             stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 10.0
     while not blocks(node.pid, signal.SIGINT):
-        assert node.poll() is None
+        assert node.poll() is None and time.monotonic() < deadline
     node.send_signal(signal.SIGINT)
     assert 'Traceback' not in node.communicate(timeout=60)[1]
     assert node.returncode == code
