@@ -15,7 +15,6 @@ from node_harness import (
     Float64MultiArray,
     JointState,
     Lab,
-    STATES,
     Trigger,
     write_parameters,
 )
@@ -82,7 +81,7 @@ def bridge_lab(folder, *, robot=True, mapping=MAPPING, plant=None, composed=Fals
         lab.driven = Efforts()
         lab.node.create_subscription(JointState, robot_process.STATES, lab.driven.driven,
                                      QoSProfile(depth=100))
-        lab.states = lab.listen(JointState, STATES)
+        lab.states = lab.hear('states')
         lab.node.create_subscription(Float64MultiArray, EFFORTS, lab.efforts.append,
                                      QoSProfile(depth=100))
         lab.node.create_subscription(DiagnosticArray, '/diagnostics', lambda message: [

@@ -31,6 +31,9 @@ PATIENCE, DISCOVERY, take_domain = bench.PATIENCE, bench.DISCOVERY, bench.take_d
 
 CONFIG = Path(__file__).parents[1] / 'config'
 FILES = (CONFIG / 'robot.yaml', CONFIG / 'controller.yaml')
+MOTION = [*FILES, CONFIG / 'sinusoid.yaml']
+TOPICS = {'states': (JointState, STATES), 'commands': (Float64MultiArray, COMMANDS),
+          'references': (Float64MultiArray, REFERENCE)}
 PARAMETER = interfaces.ParameterType
 INT, TERM = signal.SIGINT, signal.SIGTERM
 
@@ -62,6 +65,15 @@ class Lab(bench.Bench):
         super().__enter__()
         self.environment['PYTHONPATH'] = environment_of()['PYTHONPATH']
         return self
+
+    def hear(self, *names):
+        """Return a list that takes the states, commands or references of the loop, of each."""
+        heard = [self.listen(*TOPICS[name]) for name in names]
+        return heard if len(names) > 1 else heard[0]
+
+    def say(self, name):
+        """Return a publisher of states, commands or references of the loop."""
+        return self.speak(*TOPICS[name])
 
     def set_parameters(self, node, *, together=False, **parameters):
         """

@@ -15,9 +15,6 @@ from rclpy.action import ActionClient  # noqa: E402
 from test_nodes_trajectory import point, SECOND, START, Stepper  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-
 KIND = action.FollowJointTrajectory
 RESULT = KIND.Result
 NAMES = ['joint1', 'joint2']

@@ -23,17 +23,13 @@ from bridge_lab import (
     time_to_zero,
 )
 from gms_flex_control.nodes.messages import to_nanoseconds
-from node_harness import COMMANDS, Float64MultiArray, JointState, Trigger
+from node_harness import Float64MultiArray, JointState, Trigger
 import numpy as np
 import pytest
 from ros2_control_robot import CONSTANT, EFFORTS, GEAR, MAPPING, START
 from std_msgs.msg import Bool
 
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-
 RATE_LIMIT, LIMIT, LONGEST_RAMP = 5.0, 0.5, 0.05  # of config/bridge.yaml; [s]
-
 
 SILENCE_BOUND, STOP_BOUND, STATE_TIMEOUT = 0.1, 0.02, 0.3  # [s]
 GUARDED = 0.15  # the guardian waits for 50 ms [s]
@@ -157,7 +153,7 @@ def test_an_emergency_stop_is_zero_at_once_latched_and_survives_a_new_controller
         lab.more(lab.states, 10)
         assert 'emergency stop by' in ask(lab, 'enable').message  # latched
     replace(lab)
-    commands = lab.listen(Float64MultiArray, COMMANDS)
+    commands = lab.hear('commands')
     lab.until(lambda: len(commands) > 50)
     assert 'emergency stop by' in ask(lab, 'enable').message and not any(lab.efforts.last)
     lab.button.publish(Bool(data=True))

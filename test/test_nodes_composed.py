@@ -10,10 +10,8 @@ from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from node_harness import (
     array_message,
     COMMANDS,
-    CONFIG,
-    FILES,
-    Float64MultiArray,
     Lab,
+    MOTION,
     REFERENCE,
     stamp_of,
     STATES,
@@ -29,10 +27,6 @@ from test_nodes_loop import (  # noqa: F401  what no lockstep shows holds here a
     test_a_gain_changes_and_a_whole_number_is_taken_for_a_double,
     test_controller_publishes_error_estimate_and_blocks,
 )
-
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-MOTION = [*FILES, CONFIG / 'sinusoid.yaml']
 
 
 def test_lockstep_in_one_process_is_the_simulation_to_the_last_bit(tmp_path):
@@ -92,7 +86,7 @@ def test_names_topics_and_services_are_those_of_three_nodes(loop):
 
 def test_another_controller_is_noticed(loop):
     """Commands of other processes come by DDS as before."""
-    other = loop.speak(Float64MultiArray, COMMANDS)
+    other = loop.say('commands')
 
     def told():
         other.publish(array_message([0.0, 0.0], f'stamp:{stamp_of(loop.states[-1])}',

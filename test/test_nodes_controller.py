@@ -6,25 +6,10 @@
 import time
 
 from gms_flex_control.nodes.messages import EFFORT, ReferenceWriter
-from node_harness import (
-    array_message,
-    COMMANDS,
-    Float64MultiArray,
-    joint_state,
-    JointState,
-    Lab,
-    NAMES,
-    REFERENCE,
-    stamp_of,
-    STATES,
-    Trigger,
-)
+from node_harness import array_message, joint_state, Lab, NAMES, stamp_of, Trigger
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
-
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
 
 DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
 PERIOD = 5_000_000   # [ns]
@@ -46,11 +31,11 @@ def lab(tmp_path_factory):
     """Run a controller in real time on states and references that the test makes."""
     with Lab(tmp_path_factory.mktemp('controller')) as running:
         running.controller = running.start('controller_node')
-        running.states = running.speak(JointState, STATES)
-        running.references = running.speak(Float64MultiArray, REFERENCE)
+        running.states = running.say('states')
+        running.references = running.say('references')
         running.said, running.writer = Said(), ReferenceWriter(2, '/test')
         running.listen(DiagnosticArray, '/diagnostics', running.said)
-        running.commands = running.listen(Float64MultiArray, COMMANDS)
+        running.commands = running.hear('commands')
         running.until(lambda: running.states.get_subscription_count()
                       and running.references.get_subscription_count())
         running.stamp = 10**9

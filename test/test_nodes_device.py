@@ -13,9 +13,6 @@ from gms_flex_control.nodes import robot_links
 import pytest
 from test_hardware_device import EXAMPLES, FAKE, order
 
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-
 
 def start_fake(lab):
     """Start a fake robot and put its line where the bridge looks for it."""

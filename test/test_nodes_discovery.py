@@ -5,11 +5,9 @@
 
 import time
 
-from node_harness import CONFIG, DISCOVERY, FILES, JointState, Lab, rclpy, STATES
-import pytest
+from node_harness import DISCOVERY, Lab, MOTION, rclpy
 
 NO_HANDLERS = rclpy.signals.SignalHandlerOptions.NO
-pytestmark = pytest.mark.flaky(reruns=2)  # another process may delay any one search
 
 
 def test_a_process_that_comes_later_finds_the_nodes_at_once(tmp_path, monkeypatch):
@@ -17,10 +15,9 @@ def test_a_process_that_comes_later_finds_the_nodes_at_once(tmp_path, monkeypatc
     with Lab(tmp_path) as lab:
         lab.environment[DISCOVERY] = 'SUBNET'
         monkeypatch.setenv(DISCOVERY, 'SUBNET')
-        files = [*FILES, CONFIG / 'sinusoid.yaml']
-        states = lab.listen(JointState, STATES)
+        states = lab.hear('states')
         for name in ('controller_node', 'trajectory_node', 'plant_node'):
-            lab.start(name, files=files)
+            lab.start(name, files=MOTION)
         lab.until(lambda: states)
         searched = [seconds_until_found({'cascade_controller', 'trajectory', 'plant'}, lab.domain)
                     for _ in range(4)]

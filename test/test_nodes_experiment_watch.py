@@ -10,9 +10,6 @@ from gms_flex_control.schema.files import load_controller, load_robot
 from node_harness import joint_state
 import pytest
 
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-
 messages = pytest.importorskip('gms_flex_control.nodes.messages')
 experiment_watch = pytest.importorskip('gms_flex_control.nodes.step_runner')
 

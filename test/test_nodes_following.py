@@ -8,9 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-
 following = pytest.importorskip('gms_flex_control.nodes.following')
 messages = pytest.importorskip('gms_flex_control.nodes.messages')
 wire = pytest.importorskip('bench.faults.wire')

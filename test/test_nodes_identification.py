@@ -9,15 +9,11 @@ from bench.identification_simulated import read_identification_plan
 from gms_flex_control.data.reader import read_experiment
 from gms_flex_control.schema.files import load_controller, load_robot
 from node_harness import (
-    COMMANDS,
     FILES,
-    Float64MultiArray,
     INT,
     interfaces,
-    JointState,
     Lab,
     services,
-    STATES,
     traceback_free,
     Trigger,
     write_parameters,
@@ -25,7 +21,6 @@ from node_harness import (
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.flaky(reruns=2)  # a machine that stands still ends an experiment
 RATE = 125.0
 SHORT = """identification:
   joints: [joint2]
@@ -142,10 +137,10 @@ def test_start_stop_and_resume_and_a_signal_gives_zero_torque(lab):
     node = lab.begin(autostart=False)
     lab.until(lambda: 'waiting for ~/start' in node.printed())
     assert lab.call(Trigger, '/identification/start').success
-    commands = lab.listen(Float64MultiArray, COMMANDS)
+    commands = lab.hear('commands')
     lab.until_step(node, 'constant_velocity/joint2/-0.9')
     assert lab.call(Trigger, '/identification/stop').success
-    states = lab.listen(JointState, STATES)
+    states = lab.hear('states')
     lab.until(lambda: 'stopped: zero torque' in node.printed())
     lab.more(states, 1)
     assert no_torque(lab.more(commands, 100)[-50:])

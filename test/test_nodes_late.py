@@ -10,15 +10,7 @@ from types import SimpleNamespace
 
 from gms_flex_control.nodes import pacing
 from gms_flex_control.nodes.topics import Direct
-from node_harness import (
-    array_message,
-    COMMANDS,
-    Float64MultiArray,
-    JointState,
-    Lab,
-    stamp_of,
-    STATES,
-)
+from node_harness import array_message, Lab, stamp_of
 import numpy as np
 import pytest
 
@@ -27,12 +19,11 @@ DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
 PERIOD = 20_000_000  # [ns]
 
 
-@pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
 def test_a_plant_whose_controller_answers_every_second_state_warns(tmp_path):
     """Less often than that, if the machine is busy."""
     with Lab(tmp_path) as lab:
-        commands = lab.speak(Float64MultiArray, COMMANDS)
-        states = lab.listen(JointState, STATES)
+        commands = lab.say('commands')
+        states = lab.hear('states')
         plant = lab.start('plant_node', rate=50.0, silence_timeout=0.3)
         answered = 0
 
@@ -95,11 +86,10 @@ def test_a_state_is_due_a_period_after_the_last_one_where_the_clock_jumps_ahead(
     assert min(np.diff(arm.deadlines)) >= PERIOD
 
 
-@pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
 def test_stamps_are_near_the_clock_again_after_a_stop(tmp_path):
     """Whole periods are left out, and it is told how many; afterwards the pace is as before."""
     with Lab(tmp_path) as lab:
-        states = lab.listen(JointState, STATES)
+        states = lab.hear('states')
         plant = lab.start('plant_node', rate=50.0)
         lab.until(lambda: len(states) > 5)
         plant.process.send_signal(signal.SIGSTOP)

@@ -13,12 +13,9 @@ from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from gms_flex_control.schema.files import load_robot, save_robot
 from node_harness import (
     array_message,
-    COMMANDS,
     CONFIG,
     DISCOVERY,
     FILES,
-    Float64MultiArray,
-    JointState,
     Lab,
     stamp_of,
     STATES,
@@ -88,8 +85,8 @@ def test_nodes_and_one_process_agree(tmp_path, monkeypatch):
 def test_the_last_sample_is_answered_before_the_plant_ends(tmp_path):
     """A recording of N states has N commands; unanswered the plant would wait."""
     with Lab(tmp_path) as lab:
-        states = lab.listen(JointState, STATES)
-        commands = lab.speak(Float64MultiArray, COMMANDS)
+        states = lab.hear('states')
+        commands = lab.say('commands')
         plant = lab.start('plant_node', mode='lockstep', rate=100.0, duration=0.03,
                           wait_for_subscribers=1)
         lab.until(lambda: states and commands.get_subscription_count())

@@ -8,29 +8,21 @@ import math
 
 from gms_flex_control.params.gains import COMPENSATIONS
 from node_harness import (
-    COMMANDS,
-    CONFIG,
-    FILES,
     Float64MultiArray,
     interfaces,
     JOINTS,
     JointState,
     Lab,
+    MOTION,
     NAMES,
-    REFERENCE,
     services,
     stamp_of,
-    STATES,
 )
 import numpy as np
 import pytest
 
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-
 RATE = 200.0
 PERIOD = 5_000_000  # [ns]
-
 
 CONTROLLER, PLANT, TRAJECTORY = '/cascade_controller', '/plant', '/trajectory'
 KD = 'gains__joint1__kd_link'
@@ -38,9 +30,7 @@ KD = 'gains__joint1__kd_link'
 
 def listen(lab):
     """Listen to a loop that moves, and wait until it does."""
-    lab.states = lab.listen(JointState, STATES)
-    lab.commands = lab.listen(Float64MultiArray, COMMANDS)
-    lab.references = lab.listen(Float64MultiArray, REFERENCE)
+    lab.states, lab.commands, lab.references = lab.hear('states', 'commands', 'references')
     lab.errors = lab.listen(JointState, '/cascade_controller/state')
     lab.blocks = lab.listen(Float64MultiArray, '/cascade_controller/blocks')
     lab.until(lambda: len(lab.errors) > 20 and any(lab.commands[-1].data))
@@ -50,10 +40,9 @@ def listen(lab):
 def loop(tmp_path_factory):
     """Run the three nodes, moving along the sinusoid; yield a Lab that listens to them."""
     with Lab(tmp_path_factory.mktemp('loop')) as lab:
-        files = [*FILES, CONFIG / 'sinusoid.yaml']
-        lab.controller = lab.start('controller_node', files=files)
-        lab.trajectory = lab.start('trajectory_node', files=files, trajectory__autostart=True)
-        lab.plant = lab.start('plant_node', files=files, rate=RATE)
+        lab.controller = lab.start('controller_node', files=MOTION)
+        lab.trajectory = lab.start('trajectory_node', files=MOTION, trajectory__autostart=True)
+        lab.plant = lab.start('plant_node', files=MOTION, rate=RATE)
         listen(lab)
         yield lab
 

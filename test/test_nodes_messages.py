@@ -9,21 +9,14 @@ import time
 
 from node_harness import (
     array_message,
-    COMMANDS,
     Float64MultiArray,
     joint_state,
-    JointState,
     Lab,
     NAMES,
     PATIENCE,
-    REFERENCE,
     stamp_of,
-    STATES,
 )
 import pytest
-
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
 
 PERIOD = 2_000_000   # [ns]
 Clock = pytest.importorskip('rosgraph_msgs.msg').Clock
@@ -37,10 +30,9 @@ def alone(tmp_path_factory):
     with Lab(tmp_path_factory.mktemp('alone')) as lab:
         lab.controller = lab.start('controller_node', mode='lockstep')
         lab.trajectory = lab.start('trajectory_node', mode='lockstep')
-        lab.states = lab.speak(JointState, STATES)
-        lab.extra_reference = lab.speak(Float64MultiArray, REFERENCE)
-        lab.commands = lab.listen(Float64MultiArray, COMMANDS)
-        lab.references = lab.listen(Float64MultiArray, REFERENCE)
+        lab.states = lab.say('states')
+        lab.extra_reference = lab.say('references')
+        lab.commands, lab.references = lab.hear('commands', 'references')
         lab.until(lambda: lab.states.get_subscription_count() == 2
                   and lab.extra_reference.get_subscription_count() == 2)
         lab.stamp = 0
@@ -54,8 +46,8 @@ def plant(tmp_path_factory):
     """Run a plant in real time at 200 Hz on commands that the test makes."""
     with Lab(tmp_path_factory.mktemp('plant')) as lab:
         lab.plant = lab.start('plant_node', rate=200.0, command_timeout=0.1, silence_timeout=0.3)
-        lab.commands = lab.speak(Float64MultiArray, COMMANDS)
-        lab.states = lab.listen(JointState, STATES)
+        lab.commands = lab.say('commands')
+        lab.states = lab.hear('states')
         lab.until(lambda: lab.states and lab.commands.get_subscription_count())
         yield lab
         assert lab.plant.runs
@@ -192,8 +184,8 @@ def test_stamps_go_on_in_whole_periods_through_all_of_this(plant):
 def stepped(tmp_path_factory):
     """Run a plant in lockstep, 1 kHz, on commands that the test makes."""
     with Lab(tmp_path_factory.mktemp('stepped')) as lab:
-        lab.states, lab.clock = lab.listen(JointState, STATES), lab.listen(Clock, '/clock')
-        lab.commands = lab.speak(Float64MultiArray, COMMANDS)
+        lab.states, lab.clock = lab.hear('states'), lab.listen(Clock, '/clock')
+        lab.commands = lab.say('commands')
         lab.plant = lab.start('plant_node', mode='lockstep', rate=1000.0, wait_for_subscribers=1)
         lab.until(lambda: lab.states and lab.commands.get_subscription_count())
         yield lab

@@ -9,18 +9,15 @@ import time
 from gms_flex_control.data.bag import Bag, summarise
 from gms_flex_control.data.cdr import unpack_joint_state
 from gms_flex_control.experiment.driven import executable
-from node_harness import JointState, Lab, stamp_of, STATES
+from node_harness import Lab, stamp_of, STATES
 import pytest
-
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
 
 
 @pytest.fixture(scope='module')
 def lab(tmp_path_factory):
     """Run a plant at 500 Hz, which publishes what is recorded."""
     with Lab(tmp_path_factory.mktemp('recorder')) as running:
-        running.heard = running.listen(JointState, STATES)
+        running.heard = running.hear('states')
         running.start('plant_node', rate=500.0)
         running.until(lambda: running.heard)
         yield running

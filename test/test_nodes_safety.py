@@ -4,21 +4,8 @@
 """The simulated plant has the same limits, services and faults as the bridge."""
 
 from bridge_lab import ask
-from node_harness import (
-    array_message,
-    COMMANDS,
-    CONFIG,
-    FILES,
-    Float64MultiArray,
-    JointState,
-    Lab,
-    stamp_of,
-    STATES,
-)
+from node_harness import array_message, Lab, MOTION, stamp_of
 import pytest
-
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
 
 LIMITS = {'limits__joint1__torque': 0.05, 'limits__joint2__upper': 0.3,
           'limits__joint2__position_margin': 0.05}
@@ -28,11 +15,11 @@ LIMITS = {'limits__joint1__torque': 0.05, 'limits__joint2__upper': 0.3,
 def lab(tmp_path_factory):
     """Run a limited plant alone; the test commands it."""
     with Lab(tmp_path_factory.mktemp('safety')) as running:
-        running.plant = running.start('plant_node', files=[*FILES, CONFIG / 'sinusoid.yaml'],
+        running.plant = running.start('plant_node', files=MOTION,
                                       rate=200.0, silence_timeout=1.0, **LIMITS)
         running.clients = {}
-        running.states = running.listen(JointState, STATES)
-        running.commands = running.speak(Float64MultiArray, COMMANDS)
+        running.states = running.hear('states')
+        running.commands = running.say('commands')
         running.until(lambda: running.states and running.commands.get_subscription_count())
         yield running
         assert running.plant.runs and 'Traceback' not in running.plant.printed()
@@ -82,10 +69,10 @@ def test_a_joint_pushed_beyond_its_range_is_a_fault_and_outward_torque_is_zero_b
 
 def test_a_range_left_during_a_silence_is_a_fault_that_outlasts_the_silence(tmp_path):
     with Lab(tmp_path) as lab:
-        lab.plant = lab.start('plant_node', files=[*FILES, CONFIG / 'sinusoid.yaml'], rate=200.0,
+        lab.plant = lab.start('plant_node', files=MOTION, rate=200.0,
                               silence_timeout=0.04, **LIMITS)
-        lab.states = lab.listen(JointState, STATES)
-        lab.commands = lab.speak(Float64MultiArray, COMMANDS)
+        lab.states = lab.hear('states')
+        lab.commands = lab.say('commands')
         lab.until(lambda: lab.states and lab.commands.get_subscription_count())
         push(lab, [0.0, 0.4], lambda _: lab.states[-1].position[1] > 0.15)  # and it coasts
         lab.until(lambda: 'joint2 is at 0.3' in lab.plant.printed())

@@ -13,21 +13,8 @@ import time
 
 from gms_flex_control.experiment.driven import executable, ros_arguments
 from gms_flex_control.nodes.process import LAUNCHED
-from node_harness import (
-    COMMANDS,
-    CONFIG,
-    FILES,
-    Float64MultiArray,
-    JointState,
-    Lab,
-    REFERENCE,
-    stamp_of,
-    STATES,
-)
+from node_harness import Lab, MOTION, stamp_of
 import pytest
-
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
 
 INT, TERM = signal.SIGINT, signal.SIGTERM
 NODES = ('controller_node', 'trajectory_node', 'plant_node')
@@ -37,14 +24,11 @@ NODES = ('controller_node', 'trajectory_node', 'plant_node')
 def test_a_signal_ends_each_node_and_leaves_zero_torque(tmp_path, mode, numbers):
     """A second signal comes at once, as ros2 launch sends it after a Ctrl-C of the terminal."""
     with Lab(tmp_path) as lab:
-        files, common = [*FILES, CONFIG / 'sinusoid.yaml'], {'mode': mode}
-        controller = lab.start('controller_node', files=files, **common)
-        trajectory = lab.start('trajectory_node', files=files, trajectory__autostart=True,
-                               **common)
-        commands = lab.listen(Float64MultiArray, COMMANDS)
-        references = lab.listen(Float64MultiArray, REFERENCE)
-        states = lab.listen(JointState, STATES)
-        plant = lab.start('plant_node', files=files, wait_for_subscribers=3, **common)
+        common = {'files': MOTION, 'mode': mode}
+        controller = lab.start('controller_node', **common)
+        trajectory = lab.start('trajectory_node', trajectory__autostart=True, **common)
+        commands, references, states = lab.hear('commands', 'references', 'states')
+        plant = lab.start('plant_node', wait_for_subscribers=3, **common)
         lab.until(lambda: len(commands) > 100 and any(commands[-1].data) and states)
         assert controller.signal(*numbers) == 0
         lab.until(lambda: list(commands[-1].data) == [0.0, 0.0])
@@ -117,13 +101,12 @@ def test_help_that_nobody_reads_to_its_end_is_no_error():
 def test_what_a_launch_has_started_ends_with_it(tmp_path):
     """The last command is zero torque, however the launch ended; without one nodes go on."""
     with Lab(tmp_path) as lab:
-        files = [*FILES, CONFIG / 'sinusoid.yaml']
-        plant = lab.start('plant_node', files=files)
+        plant = lab.start('plant_node', files=MOTION)
         lab.environment[LAUNCHED] = 'true'
-        starts = [[*executable(name), *ros_arguments(files, {'trajectory.autostart': True})]
+        starts = [[*executable(name), *ros_arguments(MOTION, {'trajectory.autostart': True})]
                   for name in ('controller_node', 'trajectory_node')]
         launch = lab.run([sys.executable, '-c', LAUNCH, json.dumps(starts)], 'launch')
-        commands = lab.listen(Float64MultiArray, COMMANDS)
+        commands = lab.hear('commands')
         lab.until(lambda: len(commands) > 100 and any(commands[-1].data))
         launch.signal(signal.SIGKILL)
         lab.until(lambda: not any(map(alive, map(int, launch.printed().split()[:2]))))

@@ -24,9 +24,6 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Bool, MultiArrayDimension
 
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-
 BURST = 120  # messages; a socket holds more than those
 
 

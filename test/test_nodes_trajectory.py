@@ -4,18 +4,7 @@
 """The trajectory node's services: smooth from wherever the robot is, whatever changes."""
 
 from bench.faults import broken_node
-from node_harness import (
-    CONFIG,
-    FILES,
-    Float64MultiArray,
-    joint_state,
-    JointState,
-    Lab,
-    REFERENCE,
-    stamp_of,
-    STATES,
-    Trigger,
-)
+from node_harness import joint_state, Lab, MOTION, stamp_of, Trigger
 import numpy as np
 import pytest
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -32,10 +21,9 @@ class Stepper(Lab):
 
     def begin(self, name, **parameters):
         """Start the node and find its topics."""
-        self.started = self.start(name, files=[*FILES, CONFIG / 'sinusoid.yaml'],
-                                  mode='lockstep', **parameters)
-        self.states = self.speak(JointState, STATES)
-        self.messages = self.listen(Float64MultiArray, REFERENCE)
+        self.started = self.start(name, files=MOTION, mode='lockstep', **parameters)
+        self.states = self.say('states')
+        self.messages = self.hear('references')
         self.until(lambda: self.states.get_subscription_count())
         self.stamp, self.rows = -PERIOD, {}
         return self

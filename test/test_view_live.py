@@ -24,9 +24,6 @@ import pytest
 
 diagnostics = pytest.importorskip('diagnostic_msgs.msg')
 
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-
 NAMES = ['gripper', 'axis_b_motor', 'axis_a', 'axis_b']
 PERIOD = 10_000_000  # [ns]
 

@@ -12,9 +12,6 @@ from bench.__main__ import main
 from bench.faults.faults import is_permitted
 import pytest
 
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-
 pytest.importorskip('rclpy')
 bench = pytest.importorskip('bench.faults.node_bench')
 exceptions = pytest.importorskip('bench.faults.exceptions')

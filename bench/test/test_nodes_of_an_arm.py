@@ -5,15 +5,13 @@
 
 from pathlib import Path
 
-from node_harness import compile_the_loop, JointState, Lab, STATES, write_parameters
+from node_harness import compile_the_loop, Lab, write_parameters
 import numpy as np
-import pytest
 from test_nodes_lockstep import assert_equal, both
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 EXAMPLES = Path(__file__).parents[2] / 'examples' / 'industrial_arm'
 ROBOT, GAINS = EXAMPLES / 'robot.yaml', EXAMPLES / 'controller.yaml'
-pytestmark = pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
 
 
 def test_an_arm_of_a_urdf_runs(tmp_path, monkeypatch):
@@ -36,7 +34,7 @@ def test_a_day_long_motion_beyond_the_limits_is_refused_while_the_loop_goes_on(t
     points[-1].positions[0] = 50.0
     goal = JointTrajectory(joint_names=[f'joint{j}' for j in range(1, 7)], points=points)
     with Lab(tmp_path) as lab:
-        states = lab.listen(JointState, STATES)
+        states = lab.hear('states')
         goals = lab.speak(JointTrajectory, '/trajectory/joint_trajectory')
         loop = lab.start('loop_node', files=[ROBOT, GAINS])
         lab.until(lambda: states and goals.get_subscription_count())

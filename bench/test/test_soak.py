@@ -8,9 +8,6 @@ from bench.faults.faults import is_permitted
 import numpy as np
 import pytest
 
-# other processes of the machine can delay real nodes beyond any bound
-pytestmark = pytest.mark.flaky(reruns=2)
-
 pytest.importorskip('rclpy')
 bench = pytest.importorskip('bench.faults.node_bench')
 soak = pytest.importorskip('bench.faults.soak')
