@@ -192,17 +192,6 @@ def test_bad_data_are_named_and_end_the_run(folder, tmp_path, capsys, reversed_t
     assert 'The data are at fault' in page and 'wrong sign' in page
 
 
-@pytest.mark.parametrize(('arguments', 'words'), [
-    (['--without', 'backlsh'], "did you mean 'backlash'"),
-    (['--max-effects', '0'], '--max-effects 0: must be at least 1')])
-def test_a_wrong_option_is_refused_before_anything_is_read(tmp_path, folder, capsys, arguments,
-                                                           words):
-    assert run(tmp_path, tmp_path / 'none', *arguments, robot=folder / 'robot.yaml') == 2
-    error = capsys.readouterr().err
-    assert error.startswith('gms_flex discrepancy: ') and error.count('\n') == 1
-    assert words in error and not (tmp_path / 'out').exists()
-
-
 @pytest.mark.parametrize('verb', ['discrepancy', 'identify'])
 def test_what_is_fitted_is_not_given_again_by_another_path_nor_as_a_copy(
         folder, tmp_path, capsys, verb):

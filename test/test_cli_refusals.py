@@ -44,6 +44,9 @@ OPTIONS = [
     ('info {empty}', '{empty}: is empty (0 bytes)'),
     ('next {folder} --robot {robot} --limits {bridge} --out x', 'name a folder that gms_flex'),
     ('demo --out {dir} --duration -1', '--duration'),
+    *((f'discrepancy {{missing}} --robot {{robot}} --out {{dir}} {words}', sentence)
+      for words, sentence in (('--without backlsh', "did you mean 'backlash'"),
+                              ('--max-effects 0', '--max-effects 0: must be at least 1'))),
     *((f'simulate --out {{dir}} {words}', sentence) for words, sentence in (
         ('--duration 0', '--duration must be'), ('--duration nan', '--duration must be'),
         ('--duration inf', '--duration must be'),

@@ -9,10 +9,7 @@ from types import SimpleNamespace
 
 from gms_flex_control.control import frozen_encoders as frozen
 from gms_flex_control.control.controller import SteppedController
-from gms_flex_control.control.frozen_encoders import (
-    EncoderWatch,
-    FrozenEncoders,
-)
+from gms_flex_control.control.frozen_encoders import EncoderWatch, FrozenEncoders
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.simulation import loop
 from gms_flex_control.simulation.loop import SteppedPlant

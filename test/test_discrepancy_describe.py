@@ -7,16 +7,9 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from discrepancy_runs import as_believed, driven_motion
-from gms_flex_control.discrepancy.describe import (
-    evidence_of,
-    torque_scale,
-)
+from gms_flex_control.discrepancy.describe import evidence_of, torque_scale
 from gms_flex_control.discrepancy.likelihood import Likelihood
-from gms_flex_control.discrepancy.remainder import (
-    dependence,
-    predicted_share,
-    signature_of,
-)
+from gms_flex_control.discrepancy.remainder import dependence, predicted_share, signature_of
 from gms_flex_control.discrepancy.result import Signature
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.discrepancy.worth import Worth

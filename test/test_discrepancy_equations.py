@@ -8,11 +8,7 @@ from dataclasses import replace
 from discrepancy_runs import driven_motion
 from gms_flex_control.discrepancy.motion import make_motion
 from gms_flex_control.discrepancy.null_simulation import null_simulation
-from gms_flex_control.discrepancy.residuals import (
-    cleared,
-    drive_torque,
-    unexplained,
-)
+from gms_flex_control.discrepancy.residuals import cleared, drive_torque, unexplained
 from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.dynamics import chain
 from gms_flex_control.params.arm import ArmParams

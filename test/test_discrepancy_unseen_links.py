@@ -9,11 +9,7 @@ from bench.hidden_robots.cases import make_case
 from discrepancy_runs import likelihood_of, retuned_of
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.motion import motion_of
-from gms_flex_control.discrepancy.residuals import (
-    drive_torque,
-    motion_as_modelled,
-    unexplained,
-)
+from gms_flex_control.discrepancy.residuals import drive_torque, motion_as_modelled, unexplained
 from gms_flex_control.discrepancy.result import FOUND
 from gms_flex_control.discrepancy.samples import with_links
 from gms_flex_control.discrepancy.torque_noise import white_noise

@@ -12,23 +12,11 @@ from discrepancy_runs import as_believed, driven_motion, likelihood_of, retuned_
 from gms_flex_control.discrepancy import findings
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.fitting import extended, fit, step_of
-from gms_flex_control.discrepancy.gap import (
-    Errors,
-    free_rms,
-    free_runs,
-    HeldOut,
-    torque_rms,
-)
+from gms_flex_control.discrepancy.gap import Errors, free_rms, free_runs, HeldOut, torque_rms
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
-from gms_flex_control.discrepancy.validation import (
-    FOLDS,
-    Gain,
-    gain_of,
-    prediction_cost,
-    steps,
-)
+from gms_flex_control.discrepancy.validation import FOLDS, Gain, gain_of, prediction_cost, steps
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.params.arm import at_last_link, Body, carrying
 from gms_flex_control.params.robot import EffectSpec

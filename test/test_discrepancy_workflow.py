@@ -40,6 +40,14 @@ def outcome(kind, seed, most=2, **options):
     return case, result, (*result.findings, *result.minor)
 
 
+def driven(robot, nominal, gains, reference, time, *effects, **options):
+    """Return the Recording of a robot with effects, by the integrator of hidden robots."""
+    true = replace(robot, effects=effects)
+    motion = simulate(true, nominal, gains, reference, seed=1, **options)
+    q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
+    return recorded(robot, time, q_link, q_motor, motion.command, reference)
+
+
 @pytest.fixture(scope='module')
 def named():
     """Return a case with a quarter of a stiffness missing, and what is said of it."""
@@ -163,11 +171,8 @@ def test_one_joint_is_named_where_another_is_unexplained(tmp_path):
     level = EffectSpec(name='coulomb_error', joint='joint2', values=(0.4,))
     tone = Disturbance('periodic_link_torque', 0, (
         0.3 * robot.friction.forward.static[0], 2.0 * np.pi * 4.5, 0.3), np.zeros(len(time)))
-    motion = simulate(replace(robot, effects=(level,)), nominal, gains, reference, seed=1,
-                      disturbance=tone)
-    q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
-    result = find_discrepancy([recorded(robot, time, q_link, q_motor, motion.command, reference)],
-                              nominal, Options(most=2))
+    recording = driven(robot, nominal, gains, reference, time, level, disturbance=tone)
+    result = find_discrepancy([recording], nominal, Options(most=2))
     assert (result.verdict, result.is_open) == (FOUND, True), result.words
     assert [one.key for one in result.added if one.main] == [('coulomb_error', 'joint2')]
     assert result.added[0].values[0].value == pytest.approx(0.4, abs=DOUBT)
@@ -209,12 +214,9 @@ def test_torque_constant_and_inertia_are_told_by_the_spring():
     robot, gains = draw_robot(rng, 'stiff')
     nominal, reference = draw_belief(rng, robot), draw_reference(rng, 'rich', 'stiff', time)
     hidden = {'torque_gain': 0.14, 'motor_inertia_error': -0.26}
-    motion = simulate(replace(robot, effects=tuple(
-        EffectSpec(name=name, joint='joint1', values=(value,)) for name, value in hidden.items())),
-        nominal, gains, reference, seed=1)
-    q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
-    result = find_discrepancy([recorded(robot, time, q_link, q_motor, motion.command, reference)],
-                              nominal)
+    recording = driven(robot, nominal, gains, reference, time, *(
+        EffectSpec(name=name, joint='joint1', values=(value,)) for name, value in hidden.items()))
+    result = find_discrepancy([recording], nominal)
     assert {one.effect: one.joint for one in result.named} == dict.fromkeys(hidden, 'joint1')
     for one in result.named:
         assert one.values[0].value == pytest.approx(hidden[one.effect], abs=DOUBT)
@@ -241,11 +243,9 @@ def test_no_model_is_written_that_predicts_worse_than_the_one_given():
     """The robot that was fitted has an effect; the one that is predicted is as believed."""
     rng, time = np.random.default_rng(3), np.arange(7000) * 2e-3
     robot, gains = draw_robot(rng, 'stiff')
-    reference, recordings = draw_reference(rng, 'rich', 'stiff', time), []
-    for effects in ((EffectSpec(name='motor_viscous', joint='joint1', values=(0.03,)),), ()):
-        motion = simulate(replace(robot, effects=effects), robot, gains, reference, seed=1)
-        q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
-        recordings.append(recorded(robot, time, q_link, q_motor, motion.command, reference))
+    reference = draw_reference(rng, 'rich', 'stiff', time)
+    recordings = [driven(robot, robot, gains, reference, time, *effects) for effects in (
+        (EffectSpec(name='motor_viscous', joint='joint1', values=(0.03,)),), ())]
     result = find_discrepancy(recordings[:1], robot, Options(most=1), holdout=recordings[1:])
     assert [one.effect for one in result.minor] == ['motor_viscous'] and not result.findings
     assert result.robot.effects == ()
@@ -261,11 +261,8 @@ def test_an_effect_matters_that_other_recordings_do_not_touch(angle, stiffness, 
     stop = EffectSpec(name='end_stop', joint='joint1', values=(angle, stiffness))
     recordings = []
     for scale, reference in zip((1.0, 0.6, 0.6), references, strict=True):
-        motion = simulate(replace(robot, effects=(stop,)), robot, gains, scale * reference, seed=1)
-        q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
-        recordings.append(recorded(robot, time, q_link, q_motor, motion.command,
-                                   scale * reference))
-        assert (scale == 1.0) == (q_link[:, 0].min() < angle)
+        recordings.append(driven(robot, robot, gains, scale * reference, time, stop))
+        assert (scale == 1.0) == (recordings[-1].q_link[:, 0].min() < angle)
     result = find_discrepancy(recordings[:fitted], robot, Options(most=1),
                               holdout=recordings[fitted:])
     assert result.verdict == FOUND, result.words

@@ -15,17 +15,9 @@ from gms_flex_control.discrepancy.residual_views import (
     over_all,
 )
 from gms_flex_control.discrepancy.result import Gap, Value
-from gms_flex_control.reports.discrepancy_values import (
-    over_values,
-    plain,
-)
+from gms_flex_control.reports.discrepancy_values import over_values, plain
 from gms_flex_control.reports.figure_style import save_figure
-from gms_flex_control.reports.pictures import (
-    evidence_figure,
-    gap_figure,
-    maps_figure,
-    over_figure,
-)
+from gms_flex_control.reports.pictures import evidence_figure, gap_figure, maps_figure, over_figure
 import numpy as np
 
 

@@ -15,11 +15,7 @@ from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR, tuned, wi
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.table import with_changes
-from gms_flex_control.errors import (
-    ConfigError,
-    ParameterError,
-    TrajectoryError,
-)
+from gms_flex_control.errors import ConfigError, ParameterError, TrajectoryError
 from gms_flex_control.experiment.simulated import run_plan
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.params.robot import EffectSpec

@@ -20,6 +20,9 @@ MOTIONS = {
     'polynomial': builders.polynomial([1.0, 0.6], 2.0, 0.5),
     'sinusoid': builders.sinusoid([1.0, -0.5], [2.0, 3.0], phase=[0.4, 0.0]),
     'constant velocity': builders.velocity_levels([0.5, -0.25], 1.6),
+    'velocities in turn': builders.velocity_levels([[0.3, 0.0], [-0.1, 0.2]], [2.0, 1.0],
+                                                   settle_time=0.5),
+    'torques': builders.torque_levels([[0.2, 0.0], [-0.1, 0.0]], 0.1),
     'sliding': builders.sliding([0.5, -0.25], 0.6, 1.3, 3.0),
     'approach': builders.approach(
         np.random.default_rng(0).standard_normal((5, 2)),
@@ -212,34 +215,22 @@ def test_a_limit_just_inside_the_extreme_of_a_motion_refuses_it_and_just_outside
             require(key)
 
 
-def assert_consistent(trajectory, bound):
-    """Each row is the derivative of the row before."""
-    time = np.linspace(-0.1, trajectory.end + 0.1, 20001)
-    rows = trajectory.sample(time)
-    for k in range(3):
-        slope = np.gradient(rows[:, k], time, axis=0)
-        assert np.abs(slope - rows[:, k + 1])[2:-2].max() < bound * (
-            1.0 + np.abs(rows[:, k + 1]).max())
-
-
 def test_velocities_are_held_in_turn_between_two_rests():
-    trajectory = builders.velocity_levels([[0.3, 0.0], [-0.1, 0.2]], [2.0, 1.0], settle_time=0.5)
+    trajectory = MOTIONS['velocities in turn']
     assert trajectory.end == pytest.approx(4.5)
     at = trajectory.sample(np.array([0.0, 0.5, 1.5, 2.5, 3.0, 4.0, 4.5, 9.0]))
     assert at[:, 1] == pytest.approx(np.array(
         [[0, 0], [0.3, 0], [0.3, 0], [0.3, 0], [-0.1, 0.2], [-0.1, 0.2], [0, 0], [0, 0]]))
     # a change of velocity covers the mean of both
     assert at[-1, 0] == pytest.approx([0.075 + 0.6 + 0.05 - 0.1 - 0.025, 0.05 + 0.2 + 0.05])
-    assert_consistent(trajectory, 1e-3)
 
 
 def test_torques_reach_their_levels_at_the_mean_rate_and_stop_there():
-    trajectory = builders.torque_levels([[0.2, 0.0], [-0.1, 0.0]], 0.1)
+    trajectory = MOTIONS['torques']
     assert trajectory.quantity == 'effort' and trajectory.end == pytest.approx(2.0 + 3.0 + 1.0)
     at = trajectory.sample(np.array([0.0, 2.0, 5.0, 6.0, 9.0]))
     assert at[:, 0, 0] == pytest.approx([0.0, 0.2, -0.1, 0.0, 0.0], abs=1e-12)
     assert np.abs(at[:, 1:3]).max() < 1e-9
-    assert_consistent(trajectory, 1e-3)
 
 
 def test_parameters_move_motions_and_hold_torques_against_gravity():

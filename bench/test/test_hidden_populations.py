@@ -9,11 +9,7 @@ from functools import cache
 from bench.__main__ import main
 from bench.hidden_robots import motions, mujoco_plant, plants, sizes, truth
 from bench.hidden_robots.cases import make_case
-from bench.hidden_robots.populations import (
-    belief_errors,
-    Drives,
-    POPULATIONS,
-)
+from bench.hidden_robots.populations import belief_errors, Drives, POPULATIONS
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.dynamics import chain
 import numpy as np

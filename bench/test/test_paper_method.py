@@ -5,11 +5,7 @@
 
 
 from bench.__main__ import main
-from bench.paper_method.method import (
-    fit_map,
-    fit_paper,
-    steady_torque,
-)
+from bench.paper_method.method import fit_map, fit_paper, steady_torque
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.identification.coordinates import presliding_curve
 from gms_flex_control.schema.files import save_robot

@@ -12,16 +12,7 @@ from time import monotonic, sleep
 from gms_flex_control.data.reader import read_recording
 import numpy as np
 import pytest
-from tutorial import (
-    OWN,
-    parts_of,
-    PATIENCE,
-    place_of,
-    ROOT,
-    Terminals,
-    TUTORIALS,
-    write_tool,
-)
+from tutorial import OWN, parts_of, PATIENCE, place_of, ROOT, Terminals, TUTORIALS, write_tool
 
 # what nodes say on a machine that is too busy for them; the bridge answers it with FAULT
 LATE = 'too busy for this rate|no usable joint state|was silent for|jumped by'
