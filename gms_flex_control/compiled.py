@@ -15,6 +15,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import wraps
 import hashlib
+from itertools import count
 import os
 from pathlib import Path
 import tempfile
@@ -23,6 +24,7 @@ from threading import RLock
 import numba
 from numba import types
 from numba.core import config
+from numba.core.bytecode import FunctionIdentity
 from numba.extending import intrinsic, overload
 
 _PACKAGE = Path(__file__).parent
@@ -70,6 +72,12 @@ def cache_folder(*further: Path) -> str | None:
             return str(parent / name)
     return None
 
+
+# numba names a symbol after a counter of functions and the types of arguments, without the shape
+# of a record's fields. Were the counter to begin at 1 in every process, as it does, kernels for
+# one and for seven joints, cached by two processes, would have the same name in a third, which
+# calls one of them for both and overwrites memory.
+FunctionIdentity._unique_ids = count(int.from_bytes(os.urandom(6), 'big'))
 
 _CACHE_FOLDER = cache_folder()
 _ONE_AT_A_TIME = RLock()  # numba looks at one setting for all threads

@@ -1,0 +1,39 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Kernels on disk, of arms with other numbers of joints and from other processes."""
+
+import subprocess
+import sys
+
+from processes import environment_of
+
+ONE_AFTER_ANOTHER = """
+import sys
+import numpy as np
+from gms_flex_control.dynamics.chain import inverse_dynamics
+from gms_flex_control.identification.assumed_robot import rigid_joints
+
+for n in map(int, sys.argv[1:]):
+    arm = rigid_joints([f'joint{k}' for k in range(n)]).arm
+    for samples in (1, 50, 301, 1200):
+        second = np.linspace(1.0, 2.0, samples * n).reshape(samples, n)
+        still = np.zeros((samples, n))
+        torque = inverse_dynamics(still, still, second, arm)
+        assert np.allclose(torque, (arm.inertia + arm.motor_inertia) * second, rtol=1e-12)
+"""
+
+
+def test_kernels_cached_for_one_arm_serve_no_other(tmp_path):
+    """
+    A process that loads what two others compiled, for 1 and for 7 joints, calls each for its own.
+
+    Rigid axes have the torque of their inertia. Taken for the other arm, a kernel writes beyond
+    its arrays: wrong numbers, or the end of the process.
+    """
+    for joints in (['1'], ['7'], ['7', '1']):
+        done = subprocess.run(
+            [sys.executable, '-c', ONE_AFTER_ANOTHER, *joints], check=False, text=True,
+            capture_output=True, timeout=300,
+            env=environment_of(NUMBA_CACHE_DIR=str(tmp_path), MALLOC_CHECK_='3'))
+        assert done.returncode == 0, f'{joints}: {done.stderr}'
