@@ -59,12 +59,20 @@ class Lab(bench.Bench):
     """A bench whose processes take the package from this source tree."""
 
     executor_class = staticmethod(EventsExecutor)
+    tracebacks = 0  # that a process may print, at most
 
     def __enter__(self):
         compile_the_loop()
         super().__enter__()
         self.environment['PYTHONPATH'] = environment_of()['PYTHONPATH']
         return self
+
+    def __exit__(self, kind, *rest):
+        super().__exit__(kind, *rest)
+        if kind is None:
+            for process in self._processes:
+                printed = process.printed()
+                assert printed.count('Traceback') <= self.tracebacks, printed
 
     def hear(self, *names):
         """Return a list that takes the states, commands or references of the loop, of each."""
@@ -101,8 +109,3 @@ class Lab(bench.Bench):
         return {PARAMETER.PARAMETER_DOUBLE: value.double_value,
                 PARAMETER.PARAMETER_STRING: value.string_value,
                 PARAMETER.PARAMETER_INTEGER: value.integer_value}.get(value.type)
-
-
-def traceback_free(*processes):
-    """Return whether no process printed a traceback."""
-    return not any('Traceback' in process.printed() for process in processes)

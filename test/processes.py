@@ -29,9 +29,11 @@ def run_tool(*words, timeout=200, **environment):
 
 
 def run_with_nodes(*words, timeout=600):
-    """Return the finished process of a verb that starts nodes and succeeds."""
+    """Return the finished process of a verb that starts nodes and succeeds, ``--out`` in words."""
     domain, lock = pytest.importorskip('node_harness').take_domain()
     with lock:
         done = run_tool(*words, timeout=timeout, ROS_DOMAIN_ID=str(domain))
     assert done.returncode == 0, done.stdout + done.stderr
+    logs = Path(words[words.index('--out') + 1]).rglob('*.log')
+    assert not [log for log in logs if 'Traceback' in log.read_text()]
     return done

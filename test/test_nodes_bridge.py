@@ -26,10 +26,8 @@ from gms_flex_control.nodes.messages import to_nanoseconds
 from node_harness import Float64MultiArray, JointState, Trigger
 import numpy as np
 import pytest
-from ros2_control_robot import CONSTANT, EFFORTS, GEAR, MAPPING, START
+from ros2_control_robot import EFFORTS, MAPPING, START
 from std_msgs.msg import Bool
-
-RATE_LIMIT, LIMIT, LONGEST_RAMP = 5.0, 0.5, 0.05  # of config/bridge.yaml; [s]
 
 SILENCE_BOUND, STOP_BOUND, STATE_TIMEOUT = 0.1, 0.02, 0.3  # [s]
 GUARDED = 0.15  # the guardian waits for 50 ms [s]
@@ -45,7 +43,7 @@ def lab(tmp_path_factory):
         running.until(lambda: running.efforts and running.states and stop.service_is_ready())
         yield running
         for process in (running.plant, running.controller, running.trajectory):
-            assert process.runs and 'Traceback' not in process.printed()
+            assert process.runs
 
 
 def revive(lab):
@@ -72,12 +70,6 @@ def sound(request):
         running.button.publish(Bool(data=False))
 
 
-def torques(efforts):
-    """Return the joint torques that efforts at the robot mean."""
-    second, first = efforts
-    return np.array([-CONSTANT * GEAR * first, second])
-
-
 def test_zero_until_enabled_then_the_measured_state_is_held(lab):
     assert len(lab.efforts) and not any(any(data) for _, data in lab.efforts)
     enable(lab)
@@ -87,13 +79,6 @@ def test_zero_until_enabled_then_the_measured_state_is_held(lab):
     # names, signs, gear and offset undone; joint 1 without velocity, joint 2 with
     np.testing.assert_allclose(held, np.broadcast_to([*START, *START], held.shape), atol=0.02)
     assert list(lab.states[-1].name) == ['joint1', 'joint2', 'joint1_motor', 'joint2_motor']
-
-
-def test_helper_nodes_without_parameters_are_hidden(lab):
-    """As 'ros2 param list' would wait for each of them."""
-    others = {'robot', 'probe'}
-    lab.until(lambda: set(lab.node.get_node_names()) - others == {
-        'plant', 'cascade_controller', 'trajectory', '_plant_safety', '_plant_guardian'})
 
 
 def test_what_takes_torque_away_while_it_is_asked_for_prevails(lab):
@@ -113,14 +98,6 @@ def test_what_takes_torque_away_while_it_is_asked_for_prevails(lab):
     flowing = len(lab.efforts)
     lab.more(lab.efforts, 30)
     assert not any(any(data) for _, data in lab.efforts[flowing:])
-
-
-def test_torque_rises_at_its_rate_limit_and_stays_below_its_limit(lab):
-    move(lab, lambda: (np.abs(np.subtract(lab.states[-1].position[:2], START)) > 0.1).all())
-    torque = np.array([torques(data) for _, data in lab.efforts])
-    assert np.abs(torque).max() <= LIMIT
-    # however long it took, it never rises for longer at once; test_hardware_bridge has the ramp
-    assert np.diff(np.abs(torque), axis=0).max() <= RATE_LIMIT * LONGEST_RAMP + 1e-9
 
 
 def test_a_frozen_controller_is_zero_torque_and_a_fault_that_says_how_long(lab):
@@ -177,7 +154,6 @@ def test_the_last_word_is_zero(lab):
     assert any(lab.efforts.last)
     assert lab.plant.signal(signal.SIGTERM) == 0
     lab.until(lambda: not any(lab.efforts.last))
-    assert 'Traceback' not in lab.plant.printed()
     lab.plant = lab.start('plant_node.second', files=lab.files, **lab.given)
     lab.until(lambda: 'ZERO' in lab.plant.printed())
     lab.stop = lab.node.create_client(Trigger, '/plant/emergency_stop').call_async
@@ -208,6 +184,7 @@ def test_an_exception_is_one_traceback_zero_torque_and_a_fault(tmp_path):
     """The function raises once, some seconds after the start, and the bridge can go on."""
     place = 'gms_flex_control.hardware.bridge:Bridge.take_command'
     with bridge_lab(tmp_path, plant=broken_node.command('plant_node', place, 700)) as lab:
+        lab.tracebacks = 1
         lab.until(lambda: lab.efforts and lab.states)
         said = f'on_command raised RuntimeError: {broken_node.SENTENCE}'
         lab.until(lambda: said in move_on(lab))

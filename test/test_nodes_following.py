@@ -58,33 +58,21 @@ def test_a_handover_begins_at_the_robot_and_ends_at_the_reference():
     assert way.applied(2 * NS, MOTION) is MOTION and way.left is None
 
 
-def test_torque_fades_in_where_a_motion_begins_and_only_there():
-    way = Handover(2.0)
-    way.begin(NS, MOTION[:2], MOTION)
-    assert risen(way, range(0, NS, NS // 200)) == pytest.approx(
-        np.minimum(np.arange(200) / 20, 1.0))
+SHARE = np.minimum(np.arange(200) / 20, 1.0)
+EVENLY = range(0, NS, NS // 200)
+STALLING = [0, NS // 12, NS // 6, NS // 6 + NS // 500]
 
 
-def test_torque_begins_with_the_one_that_is_given_already():
-    way = Handover(2.0)
-    way.begin(NS, MOTION[:2], MOTION, torque=np.array([0.4, 0.4]))
-    share = np.minimum(np.arange(200) / 20, 1.0)
-    assert risen(way, range(0, NS, NS // 200)) == pytest.approx(share + 0.4 * (1.0 - share))
-
-
-def risen(way, moments):
-    """Return the share of the torque (K,) that is given at moments after a start at 1 s [ns]."""
-    torque = np.ones((len(moments), 2))
+@pytest.mark.parametrize(('given', 'moments', 'shares'), [
+    ({}, EVENLY, SHARE), ({'torque': np.array([0.4, 0.4])}, EVENLY, SHARE + 0.4 * (1.0 - SHARE)),
+    ({}, STALLING, [0.0, 0.1, 0.2, 0.22])])
+def test_torque_fades_in_from_the_one_that_is_given_and_jumps_after_no_stall(given, moments,
+                                                                            shares):
+    way, torque = Handover(2.0), np.ones((len(moments), 2))
+    way.begin(NS, MOTION[:2], MOTION, **given)
     for since, row in zip(moments, torque, strict=True):
         way.fade(NS + since, row)
-    return torque[:, 0]
-
-
-def test_a_loop_that_stalls_as_it_begins_does_not_jump_to_the_whole_torque():
-    way = Handover(2.0)
-    way.begin(NS, MOTION[:2], MOTION)
-    assert risen(way, [0, NS // 12, NS // 6, NS // 6 + NS // 500]) == pytest.approx(
-        [0.0, 0.1, 0.2, 0.22])
+    assert torque[:, 0] == pytest.approx(shares)
 
 
 @pytest.mark.parametrize('bad', [float('nan'), float('inf'), -float('inf'), 1e308, -1e308])

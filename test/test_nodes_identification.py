@@ -8,16 +8,7 @@ import warnings
 from bench.identification_simulated import read_identification_plan
 from gms_flex_control.data.reader import read_experiment
 from gms_flex_control.schema.files import load_controller, load_robot
-from node_harness import (
-    FILES,
-    INT,
-    interfaces,
-    Lab,
-    services,
-    traceback_free,
-    Trigger,
-    write_parameters,
-)
+from node_harness import FILES, INT, interfaces, Lab, services, Trigger, write_parameters
 import numpy as np
 import pytest
 
@@ -92,11 +83,6 @@ def read(path):
         return read_experiment(path)
 
 
-def measured_steps(phases):
-    return [phase.step for phase in phases
-            if not phase.step.endswith(('/approach', '/relax', '')) or phase.value]
-
-
 def test_a_whole_experiment_is_recorded_with_its_phases(lab):
     """It is not fitted, as its plan leaves out a joint."""
     node = lab.begin(fit=True)
@@ -104,7 +90,6 @@ def test_a_whole_experiment_is_recorded_with_its_phases(lab):
               bound=300.0)
     assert not lab.bag.with_name('bag_identified').exists()
     assert node.wait() == 0, node.printed()
-    assert traceback_free(node, *lab.others.values())
     check_recording(lab)
     assert '100 %, done in' in node.printed() and 'estimated' in node.printed()
     assert lab.get('/cascade_controller', 'compensation') == 'gms'
@@ -150,14 +135,15 @@ def test_start_stop_and_resume_and_a_signal_gives_zero_torque(lab):
     assert node.signal(INT) == 0, node.printed()
     begun = len(commands)
     lab.until(lambda: len(commands) > begun + 50 and no_torque(commands[-50:]))
-    assert 'ended by a signal' in node.printed() and traceback_free(node)
+    assert 'ended by a signal' in node.printed()
     recording, phases = read(lab.bag)
     stop = next(phase for phase in phases if phase.phase == 'idle')
     after = np.searchsorted(recording.time, stop.time_ns * 1e-9)
     # the phase is published once the trajectory node has let go
     assert np.all(recording.command[after + 50:after + 80] == 0.0)
     assert phases[-1].phase == 'idle'
-    again = [step for step in measured_steps(phases) if 'constant_velocity/joint2/-0.9' in step]
+    again = [phase for phase in phases if 'constant_velocity/joint2/-0.9' in phase.step and (
+        phase.value or not phase.step.endswith(('/approach', '/relax')))]
     assert len(again) == 2  # the step that was stopped is carried out once more
 
 
@@ -169,7 +155,7 @@ def test_a_lost_node_ends_the_experiment_with_a_sentence(lab):
     node = lab.begin(silence=2.0)
     lab.until_step(node, 'constant_velocity/joint2/+0.9')
     lab.others['trajectory_node'].kill()
-    assert node.wait() == 2 and traceback_free(node)
+    assert node.wait() == 2
     assert 'no references of the trajectory node for 2 s' in node.printed()
     assert len(read(lab.bag)[0].time) > 100
 
@@ -191,7 +177,7 @@ def test_parameters_that_are_refused_end_it_with_the_reason(lab):
     lab.until(lambda: not node.runs)
     assert node.wait() == 2
     assert '/picky refused gains.joint1.torque_limit' in node.printed()
-    assert 'too bold' in node.printed() and traceback_free(node)
+    assert 'too bold' in node.printed()
     lab.bag = lab.folder / 'other'
     other = lab.identify('identification_node.other', controller_node='/trajectory')
     assert other.wait() == 2

@@ -47,9 +47,6 @@ def test_what_makes_no_sense_is_refused_with_the_reason(given, reason):
         joint_trajectory.read_joint_trajectory(given, JOINTS)
 
 
-# goals -----------------------------------------------------------------------------------------
-
-
 def tolerance(name, position=0.0, velocity=0.0):
     """Return what a JointTolerance holds."""
     return SimpleNamespace(name=name, position=position, velocity=velocity)

@@ -58,7 +58,7 @@ def moving(tmp_path_factory):
     """Run a trajectory node whose robot rests at START."""
     with Stepper(tmp_path_factory.mktemp('trajectory')) as lab:
         yield lab.begin('trajectory_node', trajectory__approach_time=1)
-        assert lab.started.runs and 'Traceback' not in lab.started.printed()
+        assert lab.started.runs
 
 
 def assert_smooth(rows):
@@ -154,6 +154,7 @@ def test_a_fault_ends_by_reset_where_the_robot_is_by_then(tmp_path):
     broken = broken_node.command(
         'trajectory_node', 'gms_flex_control.nodes.trajectory_node:TrajectoryNode._publish', 0)
     with Stepper(tmp_path) as lab:
+        lab.tracebacks = 1
         lab.begin('trajectory_node', command=broken)
 
         def state(position):

@@ -180,4 +180,4 @@ def test_without_a_controller_gains_are_a_sentence_and_the_end_is_clean(lab):
     status, answer = ask(lab, '/api/parameters')
     assert status == 503
     assert answer['reason'].startswith('/left/cascade_controller does not answer')
-    assert lab.view.signal(TERM) == 0 and 'Traceback' not in lab.view.printed()
+    assert lab.view.signal(TERM) == 0
