@@ -56,8 +56,7 @@ def retuned_of(likelihood, plausible=np.inf):
 
 def recorded(robot, time, q_link, q_motor, command, reference):
     """Return the Recording of angles as read and torques as asked for."""
-    unknown = np.full_like(q_link, np.nan)
     return Recording(
-        joints=robot.joints, time=time, q_link=q_link, q_motor=q_motor, dq_link=unknown,
-        dq_motor=unknown, tau_motor=np.vstack([np.zeros((1, 2)), command[:-1]]), command=command,
-        reference=reference, friction_hat=unknown, source='simulated', supply=None)
+        joints=robot.joints, time=time, q_link=q_link, q_motor=q_motor, command=command,
+        tau_motor=np.vstack([np.zeros((1, 2)), command[:-1]]), reference=reference,
+        source='simulated')

@@ -73,9 +73,8 @@ def healthy(name):
 def taken(recording, rows, time=None):
     """Return a recording of some samples, at their own or other times."""
     time = recording.time[rows] if time is None else time
-    return replace(recording, time=time - time[0], reference=recording.reference[rows],
-                   supply=recording.supply[rows],
-                   **{name: getattr(recording, name)[rows] for name in CHANNELS})
+    return replace(recording, time=time - time[0], **{
+        name: getattr(recording, name)[rows] for name in (*CHANNELS, 'reference', 'supply')})
 
 
 def with_columns(recording, order, names=CHANNELS):

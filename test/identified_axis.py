@@ -68,10 +68,8 @@ def part(take, begin, end):
     """Return the part of a take between two times [s], the clock from zero again."""
     recording, phases = take
     rows = slice(*np.searchsorted(recording.time, [begin - 1e-9, end - 1e-9]))
-    channels = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
-                'friction_hat', 'supply')
-    cut = replace(recording, time=recording.time[rows] - recording.time[rows][0],
-                  **{name: getattr(recording, name)[rows] for name in channels})
+    cut = recording.of_samples(rows)
+    cut = replace(cut, time=cut.time - cut.time[0])
     shift = round(1e9 * recording.time[rows][0])
     kept = [phase for phase in phases if phase.time_ns < 1e9 * end - 1]
     early = [phase for phase in kept if phase.time_ns <= shift][-1:]
@@ -93,8 +91,5 @@ def pendulum(inertia=0.02, pull=0.5, offset=-1.2, constant=0.0, seconds=40.0, ra
     torque /= 1.0 - per_load * np.tanh(dq / 0.01) * np.sign(torque)  # of all that is carried
     torque = torque + 2e-3 * np.random.default_rng(seed).standard_normal(len(time))
     held = np.append(torque[0], 0.5 * (torque[1:] + torque[:-1]))
-    none, column = np.full((len(time), 1), np.nan), q[:, None]
-    return Recording(joints=('swing',), time=time, q_link=column, dq_link=none, q_motor=none,
-                     dq_motor=none, tau_motor=held[:, None], command=none,
-                     reference=np.full((len(time), 5, 1), np.nan), friction_hat=none,
+    return Recording(joints=('swing',), time=time, q_link=q[:, None], tau_motor=held[:, None],
                      source='pendulum')

@@ -95,7 +95,7 @@ def test_motion_one_way_gives_friction_of_that_way_alone(tmp_path):
               if not name.startswith('friction.')}
     save_values(stated, tmp_path / 'robot.yaml')
     assert identified(tmp_path, bag_of(tmp_path, faulty.one_way(recording), robot), '--robot',
-                      tmp_path / 'robot.yaml') == 0
+                      tmp_path / 'robot.yaml', '--blocks', 2) == 0
     report = json.loads((tmp_path / 'out' / 'report.json').read_text())
     found = {one['name']: one for joint in report['joints'] for one in joint['estimates']}
     for j, joint in enumerate(robot.joints):

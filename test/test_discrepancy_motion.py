@@ -83,12 +83,8 @@ def uneven_recording(robot, reference, seed):
             driven.advance(command)
             now += 1
     q_link, q_motor = np.moveaxis(np.array(angles), 1, 0)
-    unknown = np.full_like(q_link, np.nan)
-    return Recording(
-        joints=robot.joints, time=np.array(time), q_link=q_link, q_motor=q_motor,
-        dq_link=unknown, dq_motor=unknown, tau_motor=unknown, command=np.array(commands),
-        reference=np.full((len(time), 5, robot.n_joints), np.nan), friction_hat=unknown,
-        source='uneven')
+    return Recording(joints=robot.joints, time=np.array(time), q_link=q_link, q_motor=q_motor,
+                     command=np.array(commands), source='uneven')
 
 
 def tones(time):

@@ -70,13 +70,6 @@ def python_blocks(angle, dt, friction, *, clip=True):
     return np.array(out)
 
 
-@pytest.mark.parametrize('direction', [1, -1])
-def test_first_loading_is_the_sum_of_springs_each_up_to_its_share(maxwell, direction):
-    x = direction * path(0.0, 0.02)
-    torque, _ = drive_friction(maxwell, x, 1e-3)
-    np.testing.assert_allclose(torque[:, 0], virgin_curve(maxwell, x), rtol=0, atol=1e-14)
-
-
 @pytest.mark.parametrize('reach', [1e-4, 1e-3, 5e-3, 2e-2])
 def test_unloading_doubles_the_first_loading_after_masing(maxwell, reach):
     """With F_s = F_c a branch after a reversal is the first loading at twice the scale."""
@@ -179,19 +172,6 @@ def test_one_millisecond_is_as_good_as_twenty_microseconds(friction):
     assert np.all(np.sqrt(np.mean(error ** 2, axis=0)) < 2e-5)
     unclipped = python_blocks(motion(coarse), 1e-3, friction.of_joints([0]), clip=False)
     assert np.sqrt(np.mean((unclipped - truth[:, 0]) ** 2)) > 5e-3
-
-
-def test_the_exact_slip_step_holds_where_explicit_euler_blows_up(friction):
-    """Steps of three times s / C: Euler grows without bound, the exponential settles."""
-    one = friction.of_joints([0])
-    level, weight, attraction = one.forward.coulomb[0], one.weight[0, 0], 1.5
-    dt = 3.0 * level / attraction
-    euler, state = 0.9 * weight * level, gms.init(one)
-    for _ in range(40):
-        euler += dt * attraction * (weight - euler / level)
-        state, tau = step_friction(state, [0.1 * dt], dt, one)
-    assert abs(euler) > 1e6
-    assert tau == pytest.approx(steady_friction(np.array([0.1]), one), rel=1e-9)
 
 
 def test_a_rest_keeps_the_direction_of_the_last_motion(friction):

@@ -27,7 +27,7 @@ from gms_flex_control.errors import BagError, ConfigError, IdentificationError
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.params.arm import Body
 from gms_flex_control.schema.files import save_robot
-from identified_axis import axis, experiment
+from identified_axis import axis, experiment, part
 import numpy as np
 import pytest
 
@@ -51,7 +51,8 @@ def test_friction_of_currents_is_in_amperes_in_table_report_and_json(amperes, tm
     """A known torque constant times each number gives the friction that was simulated."""
     write_recording(tmp_path / 'bag', amperes, ('',))
     (tmp_path / 'bag' / 'recording.yaml').write_text('torque_constant: {joint1: unknown}\n')
-    assert main(['identify', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 0
+    assert main(['identify', str(tmp_path / 'bag'), '--blocks', '4', '--out',
+                 str(tmp_path / 'out')]) == 0
     text = capsys.readouterr().out
     page = (tmp_path / 'out' / 'report.html').read_text()
     comment = (tmp_path / 'out' / 'friction.yaml').read_text().split('/**')[0]
@@ -83,7 +84,7 @@ def test_a_current_among_torques_is_refused():
 
 def test_discrepancy_goes_on_in_amperes(amperes, tmp_path, capsys):
     """A level of friction that is believed a fifth too low is found in amperes."""
-    recording = replace(amperes, command=np.nan)
+    recording, _ = part((replace(amperes, command=np.nan), ()), 0.0, 30.0)
     write_recording(tmp_path / 'bag', recording, ('',))
     (tmp_path / 'bag' / 'recording.yaml').write_text('torque_constant: {joint1: unknown}\n')
     robot = axis(rigid=True)

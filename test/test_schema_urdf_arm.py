@@ -16,7 +16,6 @@ from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.table import with_changes
 from gms_flex_control.errors import ConfigError, ParameterError, TrajectoryError
-from gms_flex_control.experiment.simulated import run_plan
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import load_robot_to_identify
@@ -278,21 +277,6 @@ def test_a_robot_file_that_contradicts_its_urdf_is_refused(old, new, sentence, t
     (tmp_path / 'robot.yaml').write_text(text.replace(old, new, 1))
     with pytest.raises((ConfigError, ParameterError), match=sentence):
         load_robot(tmp_path / 'robot.yaml')
-
-
-def test_the_closed_loop_follows_a_motion_of_all_joints():
-    """Model, gravity and friction compensation together; gravity left out is missed."""
-    files = [ARMS['industrial_arm'].with_name(f'{name}.yaml')
-             for name in ('robot', 'controller', 'trajectory')]
-    plan = read_plan(files, duration=4.0)
-    light = replace(plan.model, arm=replace(plan.model.arm, gravity=np.zeros(3)))
-    errors = {}
-    for name, model in (('right', plan.model), ('without gravity', light)):
-        run = run_plan(replace(plan, model=model))
-        errors[name] = np.sqrt(np.mean((run.true[:, 0] - run.reference[:, 0]) ** 2, axis=0))
-    assert np.ptp(run.reference[:, 0], axis=0).min() > 0.4
-    assert errors['right'].max() < 0.002
-    assert errors['without gravity'][1] > 5.0 * errors['right'][1]
 
 
 @pytest.mark.parametrize('effects', [(), (EffectSpec(

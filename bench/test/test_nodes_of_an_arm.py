@@ -1,28 +1,43 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Nodes drive the arm of a URDF: in lockstep as one process does, and not beyond its limits."""
+"""The arm of a URDF in closed loop, in one process and by nodes, and not beyond its limits."""
 
+from dataclasses import replace
 from pathlib import Path
 
+from gms_flex_control.experiment.simulated import read_plan, run_plan
 from node_harness import compile_the_loop, Lab, write_parameters
 import numpy as np
 from test_nodes_lockstep import assert_equal, both
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 EXAMPLES = Path(__file__).parents[2] / 'examples' / 'industrial_arm'
-ROBOT, GAINS = EXAMPLES / 'robot.yaml', EXAMPLES / 'controller.yaml'
+FILES = [EXAMPLES / f'{name}.yaml' for name in ('robot', 'controller', 'trajectory')]
+ROBOT, GAINS = FILES[:2]
 
 
 def test_an_arm_of_a_urdf_runs(tmp_path, monkeypatch):
     """The nodes find the URDF beside the parameter file that names it; its springs carry links."""
-    files = [EXAMPLES / name for name in ('robot.yaml', 'controller.yaml', 'trajectory.yaml')]
     extra = write_parameters(tmp_path / 'extra.yaml', 'trajectory: {ramp_time: 1.0}')
-    driven, simulated, _ = both(tmp_path, monkeypatch, [*files, extra], duration=0.8,
+    driven, simulated, _ = both(tmp_path, monkeypatch, [*FILES, extra], duration=0.8,
                                 compensation='gms', rate=1000.0)
     assert len(driven.time) == 800
     assert np.abs(driven.tau_motor[:, 1]).max() > 10.0  # gravity
     assert_equal(driven, simulated)
+
+
+def test_the_closed_loop_follows_a_motion_of_all_joints():
+    """Model, gravity and friction compensation together; gravity left out is missed."""
+    plan = read_plan(FILES, duration=4.0)
+    light = replace(plan.model, arm=replace(plan.model.arm, gravity=np.zeros(3)))
+    errors = {}
+    for name, model in (('right', plan.model), ('without gravity', light)):
+        run = run_plan(replace(plan, model=model))
+        errors[name] = np.sqrt(np.mean((run.true[:, 0] - run.reference[:, 0]) ** 2, axis=0))
+    assert np.ptp(run.reference[:, 0], axis=0).min() > 0.4
+    assert errors['right'].max() < 0.002
+    assert errors['without gravity'][1] > 5.0 * errors['right'][1]
 
 
 def test_a_day_long_motion_beyond_the_limits_is_refused_while_the_loop_goes_on(tmp_path):

@@ -95,12 +95,9 @@ def test_nothing_is_chosen_where_the_textbook_is_the_truth():
 def closed_form_recording():
     """Return a Recording of the closed form, torque held over each sample as its middle has it."""
     time = PERIOD * np.arange(10000)
-    nothing = np.full((len(time), 1), np.nan)
-    return Recording(
-        joints=('axis',), time=time, q_link=angle(time)[:, None], dq_link=nothing,
-        q_motor=nothing, dq_motor=nothing, tau_motor=torque(time - 0.5 * PERIOD)[:, None],
-        command=nothing, reference=np.full((len(time), 5, 1), np.nan), friction_hat=nothing,
-        source='closed form')
+    return Recording(joints=('axis',), time=time, source='closed form',
+                     q_link=angle(time)[:, None],
+                     tau_motor=torque(time - 0.5 * PERIOD)[:, None])
 
 
 def test_a_model_with_the_same_parameters_leaves_what_least_squares_leaves():
