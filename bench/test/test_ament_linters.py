@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The style checks of the ROS 2 core packages on all files; `make lint` has ruff's same rules."""
 
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pytest
@@ -28,3 +29,14 @@ def test_flake8():
 @pytest.mark.pep257
 def test_pep257():
     assert ament_pep257.main(argv=sources()) == 0, 'found docstring errors'
+
+
+@pytest.mark.linter
+@pytest.mark.parametrize('plugin', ['builtins', 'comprehensions', 'docstrings', 'import-order',
+                                    'quotes'])
+def test_plugin_is_there(plugin):
+    """Without its plugins flake8 says less than on a ROS machine."""
+    try:
+        assert version(f'flake8-{plugin}')
+    except PackageNotFoundError:
+        pytest.fail(f'flake8-{plugin} is missing; install the extra [test]')

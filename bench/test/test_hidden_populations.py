@@ -9,7 +9,7 @@ from functools import cache
 from bench.__main__ import main
 from bench.hidden_robots import motions, mujoco_plant, plants, sizes, truth
 from bench.hidden_robots.cases import make_case
-from bench.hidden_robots.populations import belief_errors, Drives, POPULATIONS
+from bench.hidden_robots.populations import belief_errors, POPULATIONS
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.dynamics import chain
 import numpy as np
@@ -22,10 +22,6 @@ needs_mujoco = pytest.mark.skipif(not mujoco_plant.available(), reason='mujoco i
 @cache
 def drawn(population, kind='single', seed=1):
     return make_case(kind, seed, population=population, duration=8.0)
-
-
-def robot_of(seed, plant='soft'):
-    return plants.draw_robot(np.random.default_rng(seed), plant)[0]
 
 
 @pytest.mark.parametrize('name', [name for name in POPULATIONS if name != 'mujoco']
@@ -59,7 +55,7 @@ def test_what_is_believed_is_far_off_and_physical(name, low, high):
     """Either way, of robots that can be: every mass matrix positive, F_s above F_c."""
     signs = []
     for seed in range(40):
-        robot = robot_of(seed)
+        robot, _ = plants.draw_robot(np.random.default_rng(seed), 'soft')
         belief = plants.draw_belief(np.random.default_rng([1, seed]), robot,
                                     POPULATIONS[name].beliefs)
         for kind, error in belief_errors(robot, belief).items():
@@ -75,28 +71,6 @@ def test_what_is_believed_is_far_off_and_physical(name, low, high):
         for side in (belief.friction.forward, belief.friction.backward):
             assert np.all(side.static >= side.coulomb) and np.all(side.viscous > 0.0)
     assert abs(np.mean(signs)) < 0.35
-
-
-def applied_noise(population, duration=20.0):
-    """Return torque applied less commanded (T - 1, 2), its Drives and the samples' period."""
-    rng = np.random.default_rng(4)
-    robot, gains = plants.draw_robot(rng, 'stiff')
-    time = TIME[TIME < duration]
-    reference = motions.draw_reference(rng, 'rich', 'stiff', time)
-    drives = Drives(rng, population, robot)
-    runs = [truth.simulate(robot, robot, gains, reference, noise=drives.draw(rng, len(time)))
-            for _ in range(2)]
-    noise = [run.applied[1:] - run.command[:-1] for run in runs]
-    assert abs(np.corrcoef(noise[0][:, 0], noise[1][:, 0])[0, 1]) < 0.2
-    return noise[0], drives
-
-
-def test_white_torque_noise_is_as_large_as_stated_and_forgets_at_once():
-    """6 % of F_s in each sample of the torque that really acts, different in each run."""
-    noise, drives = applied_noise(POPULATIONS['noise_6'])
-    np.testing.assert_allclose(noise.std(axis=0), drives.deviation, rtol=0.03)
-    for one in noise.T:
-        assert abs(np.corrcoef(one[1:], one[:-1])[0, 1]) < 0.03
 
 
 def test_pid_follows_without_a_model_of_friction(tmp_path):

@@ -47,26 +47,6 @@ def test_phases_are_the_steps_of_the_plan_and_their_time_is_that_of_the_recordin
     assert np.all(np.diff(times) > 0) and times[-1] <= recording.time[-1] + 2e-3
 
 
-@pytest.mark.parametrize('joint', ROBOT.joints)
-def test_the_spring_carries_the_stribeck_curve_at_constant_velocity(experiment, joint):
-    """Equation (6) from Table 1, against the mean elastic torque in the last half."""
-    j, seen = ROBOT.joints.index(joint), 0
-    for phase, part, number in parts(experiment, 'constant_velocity'):
-        recording = experiment[0]
-        held = np.flatnonzero(np.abs(recording.reference[part, 1, j] - phase.value) < 1e-9)
-        if number != j or abs(phase.value) < 0.04:
-            continue
-        late = part.start + held[len(held) // 2:]
-        v = np.polyfit(recording.time[late], recording.q_link[late, j], 1)[0]
-        steady = getattr(ROBOT.friction, 'forward' if v > 0 else 'backward')
-        level = steady.coulomb[j] + (steady.static[j] - steady.coulomb[j]) * np.exp(
-            -(v / steady.velocity[j]) ** 2)
-        expected = np.sign(v) * level + steady.viscous[j] * v
-        assert elastic_torque(recording, j)[late].mean() == pytest.approx(expected, rel=0.05)
-        seen += 1
-    assert seen >= 8
-
-
 def test_break_away_stops_soon_after_it_has_broken_away(experiment):
     found = list(parts(experiment, 'break_away'))
     assert len(found) == 4
@@ -104,23 +84,6 @@ def test_wrong_beliefs_of_friction_change_the_amplitudes_and_keep_the_range(fact
             assert 0.2 < phase.value / weaker < 0.85
             assert np.ptp(recording.q_link[part, j]) < 0.05
         assert np.ptp(recording.q_link[part, j]) < 0.3
-
-
-def test_a_rigid_axis_is_identified_by_its_own_torque():
-    """No motor side: what is recorded is the torque on the joint."""
-    arm = replace(ROBOT.arm, stiffness=np.full(2, np.inf))
-    rigid = replace(ROBOT, arm=arm, motors=('', ''))
-    plan = read_identification_plan([DEMO], rigid, GAINS, overrides={
-        'identification.joints': ['joint2'],
-        'identification.experiments': ['constant_velocity', 'break_away']})
-    recording, phases = simulate_identification(plan, rigid, GAINS, 1)
-    assert np.isnan(recording.q_motor).all() and np.isfinite(recording.tau_motor).all()
-    for phase, part, j in parts((recording, phases), 'constant_velocity'):
-        if phase.value > 0.2:
-            held = np.abs(recording.reference[part, 1, j] - phase.value) < 1e-9
-            late = part.start + np.flatnonzero(held)[held.sum() // 2:]
-            expected = 0.09087 + 0.00374 * phase.value
-            assert recording.tau_motor[late, j].mean() == pytest.approx(expected, rel=0.06)
 
 
 def test_torque_noise_is_recorded_but_does_not_act():
