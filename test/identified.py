@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 
+from core_runs import padded
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.friction import steady_friction
@@ -40,8 +41,8 @@ def identification(joints=2, **changes):
     truth = load_robot(robot_file())
     if joints == 1:
         truth = one_axis(truth)
-    robot = replace(truth, friction=padded(truth.friction, 1.0 + WIGGLE))
-    believed = replace(truth, friction=padded(truth.friction, 0.8))
+    robot = replace(truth, friction=padded(scaled_friction(truth.friction, 1.0 + WIGGLE)))
+    believed = replace(truth, friction=padded(scaled_friction(truth.friction, 0.8)))
     fields = {
         'robot': robot, 'believed': believed, 'sources': ('bags/a', 'bags/b'),
         'joints': tuple(joint_result(robot, truth, j) for j in range(joints)), 'holdouts': (),
@@ -55,14 +56,6 @@ def one_axis(robot):
     rigid = replace(of_joints(robot.arm, [0], kind='decoupled'), stiffness=[np.inf])
     return replace(robot, joints=robot.joints[:1], motors=('',), arm=rigid,
                    friction=robot.friction.of_joints([0]))
-
-
-def padded(friction, ratio):
-    """Return friction torques times a ratio, with two empty blocks as a fit leaves them."""
-    none = np.zeros((len(friction.attraction), 2))
-    return replace(scaled_friction(friction, ratio),
-                   stiffness=np.hstack([ratio * friction.stiffness, none]),
-                   weight=np.hstack([friction.weight, none]))
 
 
 def joint_result(robot, truth, j):

@@ -20,19 +20,13 @@ def test_processes_return_what_a_plain_loop_returns():
     assert list(found) == list(ITEMS)
 
 
-def test_an_item_that_kills_its_worker_ends_in_a_sentence():
-    with pytest.raises(BatchError, match='enough memory'):
-        run_batch(batch_items.always_deadly, {'a': 1})
-
-
-def test_what_an_item_raises_comes_through():
-    with pytest.raises(SimulationError, match='diverged'):
-        run_batch(batch_items.fail, {'a': 0, 'b': 1})
-
-
-def test_without_workers_nothing_begins():
-    with pytest.raises(BatchError, match='--workers 0'):
-        run_batch(batch_items.walk, ITEMS, workers=0)
+@pytest.mark.parametrize(('work', 'items', 'options', 'error', 'sentence'), [
+    (batch_items.always_deadly, {'a': 1}, {}, BatchError, 'enough memory'),
+    (batch_items.fail, {'a': 0, 'b': 1}, {}, SimulationError, 'diverged'),
+    (batch_items.walk, ITEMS, {'workers': 0}, BatchError, '--workers 0')])
+def test_what_goes_wrong_ends_in_a_sentence(work, items, options, error, sentence):
+    with pytest.raises(error, match=sentence):
+        run_batch(work, items, **options)
 
 
 class Terminal(io.StringIO):

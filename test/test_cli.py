@@ -38,12 +38,6 @@ def tool_of(verb):
     return (tool, 'gms_flex') if verb in VERBS else (bench, bench.PROG)
 
 
-def tool_in(environment=None, arguments=(), **options):
-    """Run the tool as a process of its own."""
-    return subprocess.run([*TOOL, *arguments], env=environment_of(**(environment or {})),
-                          check=False, **options)
-
-
 @pytest.mark.parametrize('verb', (*VERBS, *OF_BENCH))
 def test_the_help_of_a_verb_has_examples_that_parse(verb, capsys):
     """An option that it does not have is bad input."""
@@ -208,6 +202,7 @@ def test_ctrl_c_ends_workers_in_silence(tmp_path):
 def test_the_shell_is_told_what_may_follow(tmp_path):
     pytest.importorskip('argcomplete')
     answer, typed = tmp_path / 'answer', 'gms_flex simulate --compensation lu'
-    tool_in({'_ARGCOMPLETE': '1', '_ARGCOMPLETE_STDOUT_FILENAME': str(answer), 'COMP_LINE': typed,
-             'COMP_POINT': str(len(typed)), '_ARGCOMPLETE_IFS': '\n', 'COMP_TYPE': '9'})
+    subprocess.run(TOOL, check=False, env=environment_of(
+        _ARGCOMPLETE='1', _ARGCOMPLETE_STDOUT_FILENAME=str(answer), COMP_LINE=typed,
+        COMP_POINT=str(len(typed)), _ARGCOMPLETE_IFS='\n', COMP_TYPE='9'))
     assert 'lugre' in [word.strip() for word in answer.read_text().split('\n')]

@@ -38,9 +38,6 @@ def simulate(tmp_path, capsys):
     return run
 
 
-# the front end ---------------------------------------------------------------------------------
-
-
 def test_the_process_exits_0_1_and_2(tmp_path):
     """As a shell sees it: version, gains that break a condition, a bag that is not there."""
     assert run_tool('--version').returncode == 0
@@ -65,9 +62,6 @@ def test_a_reader_that_has_seen_enough_is_no_error(tmp_path):
     os.close(write)
     _, complaint = process.communicate(timeout=120)
     assert process.returncode == 0 and complaint == ''
-
-
-# simulate --------------------------------------------------------------------------------------
 
 
 def test_a_simulation_is_a_bag_and_a_line(simulate, tmp_path):

@@ -113,26 +113,17 @@ def test_the_workspace_has_executables_and_resources(prefix):
 
 
 def test_the_workspace_runs_its_own_copy(prefix, environment):
-    """Sourced, the workspace hides an installation of the same package, and finds its files."""
+    """Sourced, it hides an installation of the same package, finds its files and has the tool."""
     program = ('import gms_flex_control, gms_flex_control.file_io as r;'
                'print(gms_flex_control.__file__); print(r.share_path())')
     result = subprocess.run(
-        ['bash', '-c', '. "$0" && exec "$@"', prefix.parent / 'local_setup.bash',
-         sys.executable, '-c', program], cwd=prefix, env=environment,
-        capture_output=True, text=True, timeout=60, check=False)
+        ['bash', '-c', '. "$0" && command -v gms_flex && gms_flex --version && exec "$@"',
+         prefix.parent / 'local_setup.bash', sys.executable, '-c', program], cwd=prefix,
+        env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert result.returncode == 0, result.stderr
-    module, share = map(Path, result.stdout.split())
-    assert prefix in module.parents
-    assert share == prefix / 'share' / PACKAGE
-
-
-def test_a_sourced_workspace_has_the_tool_on_its_path(prefix, environment):
-    result = subprocess.run(
-        ['bash', '-c', '. "$0" && command -v gms_flex && gms_flex --version',
-         prefix.parent / 'local_setup.bash'], cwd=prefix, env=environment,
-        capture_output=True, text=True, timeout=60, check=False)
-    where, version = result.stdout.split()
+    where, version, module, share = result.stdout.split()
     assert Path(where) == prefix / 'lib' / PACKAGE / 'gms_flex' and version == __version__
+    assert prefix in Path(module).parents and Path(share) == prefix / 'share' / PACKAGE
 
 
 def test_an_installed_node_runs_and_ends_cleanly(plant, domain, monkeypatch):

@@ -58,9 +58,6 @@ def rest(judge, torques=(0.0, 0.0), duration=0.5):
     assert time_to(judge, state(), torques, longest=duration) is None
 
 
-# the rate ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize('dt', [1e-3, 2e-3, 5e-3])
 @pytest.mark.parametrize('rate', [0.03, 0.3, -0.3])
 def test_a_rate_reveals_a_frozen_link_after_20_mrad(robot, gains, rate, dt):
@@ -78,9 +75,6 @@ def test_noise_and_outliers_of_the_rate_are_no_sign_of_a_frozen_encoder(judge):
         spike = 1e5 if round(time / DT) % 500 == 0 else 0.0
         return state(dq_link=rng.normal(0.0, 0.1, 2) + spike, dq_motor=rng.normal(0.0, 0.1, 2))
     assert time_to(judge, noisy) is None
-
-
-# the torque --------------------------------------------------------------------------------------
 
 
 def test_a_motor_that_does_not_give_way_to_a_torque_is_reported(judge):
@@ -105,9 +99,6 @@ def test_a_motor_that_gets_nothing_is_not_expected_to_move(judge):
     rest(judge, (0.8, 0.0))
     rest(judge, (math.nan, math.nan))
     rest(judge, (-0.8, 0.9))
-
-
-# what follows ------------------------------------------------------------------------------------
 
 
 def test_it_stays_frozen_until_the_angle_changes(judge):
@@ -142,8 +133,6 @@ def test_a_robot_that_says_it_gives_less_torque_than_was_sent_is_believed(
     watch.reset()
     assert not watch.frozen
 
-
-# no false alarms ---------------------------------------------------------------------------------
 
 MOTIONS = {
     'sinusoid': builders.sinusoid([1.0, 1.0], 6.0, ramp_time=3.0),
@@ -188,9 +177,6 @@ def test_presliding_and_break_away_do_not_look_frozen(robot, gains, stiffness):
         plant.advance(torque)
 
 
-# frozen in the closed loop -----------------------------------------------------------------------
-
-
 def first_word(robot, gains, side, joint, *, velocity, at=6.0, longest=1.5):
     """Return how long after an encoder froze in a motion it is reported [s], and the sentence."""
     plant = SteppedPlant(robot, period=DT, substeps=20)
@@ -213,15 +199,12 @@ def first_word(robot, gains, side, joint, *, velocity, at=6.0, longest=1.5):
 
 
 @pytest.mark.parametrize('joint', [0, 1])
-@pytest.mark.parametrize('side, name', [('link', 'joint{}'), ('motor', 'joint{}_motor')])
-def test_an_encoder_that_freezes_in_motion_is_found_by_its_velocity(
-        robot, gains, side, name, joint):
-    after, said = first_word(robot, gains, side, joint, velocity=1.0)
-    assert 0.03 < after < 0.06 and said.startswith(name.format(joint + 1) + ' has been')
-
-
-@pytest.mark.parametrize('joint', [0, 1])
-def test_a_motor_without_velocity_is_found_by_the_torque(robot, gains, joint):
-    after, said = first_word(robot, gains, 'motor', joint, velocity=0.0)
-    assert after < 0.6 and said.startswith(f'joint{joint + 1}_motor')
-    assert 'its torque changed by' in said
+@pytest.mark.parametrize(('name', 'velocity', 'soonest', 'latest', 'words'), [
+    ('joint{}', 1.0, 0.03, 0.06, ''), ('joint{}_motor', 1.0, 0.03, 0.06, ''),
+    ('joint{}_motor', 0.0, 0.0, 0.6, 'its torque changed by')])
+def test_an_encoder_that_freezes_in_motion_is_found_by_its_velocity_or_the_torque(
+        robot, gains, joint, name, velocity, soonest, latest, words):
+    side = 'motor' if name.endswith('motor') else 'link'
+    after, said = first_word(robot, gains, side, joint, velocity=velocity)
+    assert soonest < after < latest and words in said
+    assert said.startswith(name.format(joint + 1) + ' has been')

@@ -100,14 +100,6 @@ def test_a_channel_becomes_si_at_the_joint(load, name):
     assert log.motors == ('m1' if 'motor: m1' in lines else '',)
 
 
-def test_a_german_spreadsheet(load):
-    def german(content):
-        return '\ufeffMessung 7\n' + content.replace(',', ';').replace('.', ',')
-    log = load({'t': T, 'q': Q}, "file: {delimiter: ';', decimal: ',', header_rows: 2}" + PLAIN,
-               edit=german)
-    np.testing.assert_array_equal(log.recording.q_link[:, 0], Q)
-
-
 def test_blanks_comments_and_columns_by_number(load):
     def bare(content):
         body = content.split('\n', 1)[1].replace(',', '   ')
@@ -263,7 +255,9 @@ joints: {j1: {link_position: {column: 2, unit: rad}}}
     ('', lambda text: '\ufeff' + text.replace('t,q', '"t","q"').replace('\n', '\r\n')),
     ('file: {header_rows: 2}', lambda text: text.replace('t,q', 't,q\ns,rad')),
     ('file: {header_rows: 2}', lambda text: '% export of 3 May\n' + text.replace('t,q', '% t,q')),
-    ('file: {delimiter: tab}', lambda text: text.replace(',', '\t'))])
+    ('file: {delimiter: tab}', lambda text: text.replace(',', '\t')),
+    ("file: {delimiter: ';', decimal: ',', header_rows: 2}",
+     lambda text: '\ufeffMessung 7\n' + text.replace(',', ';').replace('.', ','))])
 def test_usual_shapes_of_export_are_read(load, head, edit):
     log = load({'t': T, 'q': Q}, head + PLAIN, edit=edit)
     np.testing.assert_array_equal(log.recording.q_link[:, 0], Q)

@@ -256,64 +256,46 @@ def test_repeated_stamps_are_taken_once_with_a_warning(tmp_path):
 
 
 GOOD = [state(k) for k in range(5)]
-BAD = {
-    'no message': (
-        {'states': []},
-        "has no message on '/joint_states' (topics: /effort_controller/commands, "
-        '/joint_states, /reference); record it, or name the topic that has the joint states'),
-    'one state': (
-        {'states': GOOD[:1]},
-        '/joint_states has 1 joint state of these joints; a recording needs at least 2'),
-    'missing topic': (
-        {'states': GOOD, 'topics': Topics(joint_states='/js')},
-        "has no topic '/js' (topics: /effort_controller/commands, /joint_states, /reference)"),
-    'missing joint': (
-        {'states': GOOD, 'joints': ['c']},
-        "topic '/joint_states' lacks joint 'c' (has a, b, b_motor); set the names that are "
-        'there or record that side as well'),
-    'missing motor': (
-        {'states': GOOD, 'joints': ['a'], 'motors': ['a_motor']},
-        "topic '/joint_states' lacks joint 'a_motor' (has a, b, b_motor)"),
-    'too few motors': (
-        {'states': GOOD, 'joints': ['a', 'b'], 'motors': ['b_motor']},
-        '1 motors for 2 joints (a, b); give one each, empty where there is none'),
-    'joint lost on the way': (
-        {'states': [*GOOD, state(5, ('a', 'b'))]},
-        "topic '/joint_states' message 5 lacks joint 'b_motor' (has a, b)"),
-    'wrong command length': (
-        {'states': GOOD, 'commands': [(1, cdr.pack_command([1.0, 2.0, 3.0], 0))]},
-        "topic '/effort_controller/commands' message 0 has 3 torques for 2 joints (a, b)"),
-    'bad label': (
-        {'states': GOOD, 'commands': [(1, cdr.pack_multi_array([('stamp:soon', 1, 1)],
-                                                               [1.0, 2.0]))]},
-        "message 0 has the label 'stamp:soon', expected stamp:<whole nanoseconds>"),
-    'wrong reference length': (
-        {'states': GOOD, 'references': [(1, cdr.pack_reference(np.zeros((5, 3)), 0))]},
-        "topic '/reference' message 0 has 15 numbers (derivative 5 x joint 3), expected "
-        'derivative 5 x joint 2'),
-    'too many derivatives': (
-        {'states': GOOD, 'references': [(1, cdr.pack_reference(np.zeros((6, 2)), 0))]},
-        'has 12 numbers (derivative 6 x joint 2), expected derivative 5 x joint 2'),
-    'cut message': (
-        {'states': [*GOOD, (5 * PERIOD, GOOD[0][1][:60])]},
-        "topic '/joint_states' message 5 is cut short: "),
-    'no CDR': (
-        {'states': [*GOOD, (5 * PERIOD, b'{"json": 1}')]},
-        "topic '/joint_states' message 5 is not plain CDR (begins with '7b 22 6a 73')"),
-    'two runs': (
-        {'states': [*(state(k) for k in range(500)), *GOOD]},
-        "topic '/joint_states' goes back from 0.998 s to 0.000 s at message 500: two runs in "
-        'one bag? Record each in its own'),
-    'wrong type': (
-        {'states': GOOD, 'topics': Topics(command='/joint_states', joint_states='/reference')},
-        "topic '/reference' is a std_msgs/msg/Float64MultiArray, expected "
-        'sensor_msgs/msg/JointState'),
-}
+BAD = [
+    ({'states': []},
+     "has no message on '/joint_states' (topics: /effort_controller/commands, /joint_states, "
+     '/reference); record it, or name the topic that has the joint states'),
+    ({'states': GOOD[:1]},
+     '/joint_states has 1 joint state of these joints; a recording needs at least 2'),
+    ({'states': GOOD, 'topics': Topics(joint_states='/js')},
+     "has no topic '/js' (topics: /effort_controller/commands, /joint_states, /reference)"),
+    ({'states': GOOD, 'joints': ['c']},
+     "topic '/joint_states' lacks joint 'c' (has a, b, b_motor); set the names that are there "
+     'or record that side as well'),
+    ({'states': GOOD, 'joints': ['a'], 'motors': ['a_motor']},
+     "topic '/joint_states' lacks joint 'a_motor' (has a, b, b_motor)"),
+    ({'states': GOOD, 'joints': ['a', 'b'], 'motors': ['b_motor']},
+     '1 motors for 2 joints (a, b); give one each, empty where there is none'),
+    ({'states': [*GOOD, state(5, ('a', 'b'))]},
+     "topic '/joint_states' message 5 lacks joint 'b_motor' (has a, b)"),
+    ({'states': GOOD, 'commands': [(1, cdr.pack_command([1.0, 2.0, 3.0], 0))]},
+     "topic '/effort_controller/commands' message 0 has 3 torques for 2 joints (a, b)"),
+    ({'states': GOOD, 'commands': [(1, cdr.pack_multi_array([('stamp:soon', 1, 1)], [1.0, 2.0]))]},
+     "message 0 has the label 'stamp:soon', expected stamp:<whole nanoseconds>"),
+    ({'states': GOOD, 'references': [(1, cdr.pack_reference(np.zeros((5, 3)), 0))]},
+     "topic '/reference' message 0 has 15 numbers (derivative 5 x joint 3), expected derivative "
+     '5 x joint 2'),
+    ({'states': GOOD, 'references': [(1, cdr.pack_reference(np.zeros((6, 2)), 0))]},
+     'has 12 numbers (derivative 6 x joint 2), expected derivative 5 x joint 2'),
+    ({'states': [*GOOD, (5 * PERIOD, GOOD[0][1][:60])]},
+     "topic '/joint_states' message 5 is cut short: "),
+    ({'states': [*GOOD, (5 * PERIOD, b'{"json": 1}')]},
+     "topic '/joint_states' message 5 is not plain CDR (begins with '7b 22 6a 73')"),
+    ({'states': [*(state(k) for k in range(500)), *GOOD]},
+     "topic '/joint_states' goes back from 0.998 s to 0.000 s at message 500: two runs in one "
+     'bag? Record each in its own'),
+    ({'states': GOOD, 'topics': Topics(command='/joint_states', joint_states='/reference')},
+     "topic '/reference' is a std_msgs/msg/Float64MultiArray, expected "
+     'sensor_msgs/msg/JointState')]
 
 
-@pytest.mark.parametrize('name', BAD)
-def test_what_is_no_recording_is_refused_with_a_sentence(tmp_path, name):
-    case, sentence = BAD[name]
+@pytest.mark.parametrize(('case', 'sentence'), BAD)
+def test_what_is_no_recording_is_refused_with_a_sentence(tmp_path, case, sentence):
     path = write_bag(tmp_path / 'bag', case['states'], case.get('commands', ()),
                      case.get('references', ()))
     with pytest.raises(BagError, match=re.escape(sentence)) as caught:

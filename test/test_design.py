@@ -309,8 +309,8 @@ def test_what_is_foreseen_of_a_motion_is_what_its_recording_tells(robot, gains):
     """A payload makes accelerations, and so encoder noise, weigh more: that is no evidence."""
     laden = replace(robot, effects=(
         EffectSpec(name='tip_payload', joint='arm', values=(0.03,)),))
-    first = _recording(laden, robot, gains, builders.sinusoid([0.0, 0.5], [3.0, 3.0],
-                                                             ramp_time=2.0))
+    first = _recording(laden, robot, gains, builders.sinusoid(
+        [0.0, 0.5], [3.0, 3.0], ramp_time=2.0))
     sets = [frozenset({('tip_payload', 'arm')}), frozenset({('link_inertia_error', 'joint2')})]
     beliefs = beliefs_of([first], robot, sets)
     loop = loop_of(beliefs, gains, LIMITS, period=PERIOD)

@@ -59,17 +59,6 @@ def written(tmp_path_factory):
     return out, json.loads((out / 'plan.json').read_text())
 
 
-def planned(folder):
-    return read_plan([ROBOT, ROBOT.with_name('controller.yaml'),
-                      folder / 'trajectory.yaml']).trajectory
-
-
-def dense(trajectory):
-    """Return times, angles, rates, accelerations (T, n) every ms."""
-    time = np.arange(0.0, trajectory.end, 1e-3)
-    return (time, *np.moveaxis(trajectory.sample(time)[:, :3], 1, 0))
-
-
 def test_the_condition_number_of_a_pendulum_is_that_of_its_three_columns(pendulum):
     """Inertia, and both parts of the first moment: ddq, cos q and sin q, friction taken out."""
     robot, time = load_robot(pendulum), np.arange(0.0, 10.0, 0.01)
@@ -86,7 +75,9 @@ def test_the_condition_number_of_a_pendulum_is_that_of_its_three_columns(pendulu
 def test_the_written_motion_keeps_all_limits_from_rest_to_rest(written):
     robot, (folder, values) = load_robot(ROBOT), written
     frames, arm = robot.arm.frames, robot.arm
-    _, angle, rate, second = dense(planned(folder))
+    plan = read_plan([ROBOT, ROBOT.with_name('controller.yaml'), folder / 'trajectory.yaml'])
+    time = np.arange(0.0, plan.trajectory.end, 1e-3)
+    angle, rate, second = np.moveaxis(plan.trajectory.sample(time)[:, :3], 1, 0)
     assert np.all(angle >= frames.lower) and np.all(angle <= frames.upper)
     assert np.all(np.abs(rate) <= frames.velocity) and np.all(np.abs(second) <= 20.0)
     torque = chain.inverse_dynamics(angle, rate, second, arm) + arm.motor_inertia * second

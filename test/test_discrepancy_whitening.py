@@ -14,13 +14,9 @@ def octaves():
     return Octaves(320, 4)
 
 
-def numbers_of(octaves, signals):
-    return octaves(np.fft.fft(signals, axis=0))
-
-
 def test_numbers_are_a_turned_view_of_the_samples(octaves):
     """The transform of the unit matrix is orthonormal: all is kept, nothing told twice."""
-    matrix = numbers_of(octaves, np.eye(320))
+    matrix = octaves(np.fft.fft(np.eye(320), axis=0))
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(320), atol=1e-12)
     assert [len(part) for part in octaves.parts] == [160, 80, 40, 20, 20]
 

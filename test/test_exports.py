@@ -35,11 +35,6 @@ def with_effects(robot, **effects):
         spec(name, robot.n_joints - 1, robot.joints, values) for name, values in effects.items()))
 
 
-def smallest(name):
-    """Return the values of an effect of no size at all, by parameter."""
-    return {one.name: max(one.lower, 0.0) for one in registry.find(name).parameters}
-
-
 def loaded(robot, without=LUGRE):
     """Return MuJoCo, model and data of an exported robot."""
     library = pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
@@ -64,9 +59,6 @@ def torque_along(robot, rate, way, without=LUGRE):
     library.mj_forward(model, data)
     assert (data.qpos[0], data.qvel[0]) == pytest.approx((way, rate), rel=1e-3)
     return (data.qfrc_passive + data.qfrc_actuator)[0]
-
-
-# MuJoCo ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize('rate', [0.02, -0.02, 0.3, -0.3])
@@ -180,12 +172,10 @@ def test_a_stribeck_curve_as_lugre_is_nearer_to_the_whole_model():
     assert lugre < 0.8 * coulomb
 
 
-# what a target lacks ---------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize('name', registry.names())
 def test_every_effect_is_exported_to_mujoco_or_refused_by_name(robot, name):
-    one = with_effects(robot, **{name: smallest(name)})
+    nothing = {one.name: max(one.lower, 0.0) for one in registry.find(name).parameters}
+    one = with_effects(robot, **{name: nothing})
     if name in mujoco_export.exportable():
         ElementTree.fromstring(export(one, mujoco.target(), LUGRE))
         return
@@ -238,9 +228,6 @@ def test_the_tool_says_what_is_lost_and_how_to_go_on(words, sentence, capsys):
     printed, told = capsys.readouterr()
     assert told == (f'gms_flex export: {sentence}\n' if sentence else '')
     assert bool(printed) == (sentence is None)
-
-
-# URDF, ros2_control, csv -----------------------------------------------------------------------
 
 
 def test_urdf_has_dynamics_of_both_directions_and_viscous_errors(robot):

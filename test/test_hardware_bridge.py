@@ -262,9 +262,6 @@ def test_torque_does_not_come_back_at_once_after_the_guardian_took_it_away(guard
     assert run.bridge.supervisor.active != guarded and any(run.bridge.torque) != guarded
 
 
-# the state machine -----------------------------------------------------------------------------
-
-
 def test_an_emergency_stop_outranks_everything_until_it_is_released_and_reset():
     supervisor = Supervisor()
     supervisor.stop('emergency stop by service')  # from ZERO as well
@@ -281,9 +278,6 @@ def test_an_emergency_stop_outranks_everything_until_it_is_released_and_reset():
     assert supervisor.state == 'FAULT' and supervisor.disable().success
     assert supervisor.state == 'FAULT' and supervisor.reset().success
     assert supervisor.faults == 2
-
-
-# parameters ------------------------------------------------------------------------------------
 
 
 def values(**changed):

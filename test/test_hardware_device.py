@@ -24,9 +24,6 @@ FAKE = [sys.executable, str(EXAMPLES / 'serial_arm.py'), '--joints', '2']
 NAMES = 'a1,a2,m1,m2'
 
 
-# frames ----------------------------------------------------------------------------------------
-
-
 def test_frames_come_through_in_pieces_of_any_size():
     rng = np.random.default_rng(0)
     numbers = [tuple(rng.normal(size=rng.integers(0, 9))) for _ in range(300)]
@@ -62,9 +59,6 @@ def test_a_line_that_loses_and_changes_bytes_never_delivers_a_wrong_number():
     # a byte too few, or a wrong count, can take a neighbour along while sync is found again
     assert 2000 - 2 * hit <= len(got) <= 2000 - hit + 1
     assert decoder.broken > 0 and decoder.lost == 2000 - len(got)
-
-
-# the interface ---------------------------------------------------------------------------------
 
 
 class Silent(Device):
@@ -113,9 +107,6 @@ def test_a_device_is_found_by_its_entry_point_with_its_options(offered):
 def test_a_device_that_cannot_be_had_is_refused(offered, name, options, words):
     with pytest.raises(ConfigError, match=words):
         devices.find(name, options, ('m1',))
-
-
-# the example -----------------------------------------------------------------------------------
 
 
 @pytest.fixture

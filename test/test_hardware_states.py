@@ -50,9 +50,6 @@ def by_joints(mapped, *, state=((0.0,) * 3,) * 2, efforts=(NAN,) * 3, otherwise=
     return sides, torque
 
 
-# mapping ---------------------------------------------------------------------------------------
-
-
 def test_angles_and_rates_follow_sign_gear_and_offset():
     mapped = joint_map()
     assert mapped.names == ('la', 'lb', 'ma')
@@ -88,9 +85,6 @@ def test_efforts_go_out_in_the_robots_order_and_come_back():
 def test_a_mapping_that_makes_no_sense_is_refused(make, words):
     with pytest.raises(ParameterError, match=words):
         make()
-
-
-# merging ---------------------------------------------------------------------------------------
 
 
 def test_one_source_in_any_order_with_others_among_them():
@@ -188,9 +182,6 @@ def test_a_velocity_that_is_not_sent_is_the_low_passed_difference():
     assert merged.estimated == 400
     take(merged, ['la', 'lb', 'ma'], [9.0, 0.0, 9.0], 2000 * MS)  # after a gap it begins anew
     np.testing.assert_array_equal(merged.state[1], 0.0)
-
-
-# clocks ----------------------------------------------------------------------------------------
 
 
 def test_stamps_of_the_own_clock_are_kept_to_the_nanosecond():

@@ -37,26 +37,15 @@ def flagged(found):
         'attraction']).flags]
 
 
-def test_the_softest_block_of_the_paper_is_flagged_and_no_other():
-    """k_21 = 0.12 N m/rad slips after 0.14 rad, presliding ends at 19 mrad."""
-    found = estimates(PAPER, reach=0.0188, travel=2.0)
-    assert flagged(found) == [0]
-    assert 'slips only after 0.14 rad, beyond the 0.0188 rad' in found['stiffness[0]'].note
-
-
-def test_a_block_that_yields_beyond_all_motion_never_slipped():
-    """Also where presliding is all there is, so that three times its reach is beyond all."""
-    found = estimates(PAPER, reach=0.1, travel=0.1)
-    assert flagged(found) == [0]
-    assert 'never slipped' in found['stiffness[0]'].note
-    assert flagged(estimates(PAPER, reach=0.1, travel=0.2)) == []
-
-
-def test_without_presliding_no_stiffness_is_told():
-    """The note says which motion lacks."""
-    found = estimates(PAPER, reach=0.0, travel=2.0)
-    assert flagged(found) == [0, 1, 2, 3, 4, 5]
-    assert 'no presliding is in the data' in found['stiffness[5]'].note
+@pytest.mark.parametrize(('reach', 'travel', 'expected', 'note'), [
+    (0.0188, 2.0, [0], 'slips only after 0.14 rad, beyond the 0.0188 rad'),
+    (0.1, 0.1, [0], 'never slipped'), (0.1, 0.2, [], ''),
+    (0.0, 2.0, [0, 1, 2, 3, 4, 5], 'no presliding is in the data')])
+def test_blocks_that_slip_beyond_presliding_are_flagged_and_no_others(
+        reach, travel, expected, note):
+    """k_21 = 0.12 N m/rad slips after 0.14 rad; never where presliding is all there is."""
+    found = estimates(PAPER, reach=reach, travel=travel)
+    assert flagged(found) == expected and note in found['stiffness[0]'].note
 
 
 @pytest.mark.parametrize('beyond', [False, True])

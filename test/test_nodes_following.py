@@ -66,8 +66,8 @@ STALLING = [0, NS // 12, NS // 6, NS // 6 + NS // 500]
 @pytest.mark.parametrize(('given', 'moments', 'shares'), [
     ({}, EVENLY, SHARE), ({'torque': np.array([0.4, 0.4])}, EVENLY, SHARE + 0.4 * (1.0 - SHARE)),
     ({}, STALLING, [0.0, 0.1, 0.2, 0.22])])
-def test_torque_fades_in_from_the_one_that_is_given_and_jumps_after_no_stall(given, moments,
-                                                                            shares):
+def test_torque_fades_in_from_the_one_that_is_given_and_jumps_after_no_stall(
+        given, moments, shares):
     way, torque = Handover(2.0), np.ones((len(moments), 2))
     way.begin(NS, MOTION[:2], MOTION, **given)
     for since, row in zip(moments, torque, strict=True):

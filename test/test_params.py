@@ -80,26 +80,20 @@ def test_what_cannot_be_is_refused(make, changes, sentence):
         make(**changes)
 
 
-@pytest.mark.parametrize(('changes', 'sentence'), [
-    ({'compensation': 'gsm'}, "compensation must be one of none, gms_paper, gms, .*got 'gsm'"),
-    ({'kd_link': [-0.8, 0.8]}, r'kd_link must be at least 0, got \[-0.8  0.8\]'),
-    ({'lambda_motor': [30.0]}, r'lambda_motor must have shape \(2,\)'),
-    ({'observer_gain': [np.nan, 1.0]}, r'observer_gain must be finite'),
-    ({'filter_bandwidth': [0.0, 100.0]}, r'filter_bandwidth must be above 0')])
-def test_impossible_gains_are_refused(gains, changes, sentence):
+@pytest.mark.parametrize(('of', 'changes', 'sentence'), [
+    ('gains', {'compensation': 'gsm'}, "must be one of none, gms_paper, gms, .*got 'gsm'"),
+    ('gains', {'kd_link': [-0.8, 0.8]}, r'kd_link must be at least 0, got \[-0.8  0.8\]'),
+    ('gains', {'lambda_motor': [30.0]}, r'lambda_motor must have shape \(2,\)'),
+    ('gains', {'observer_gain': [np.nan, 1.0]}, r'observer_gain must be finite'),
+    ('gains', {'filter_bandwidth': [0.0, 100.0]}, r'filter_bandwidth must be above 0'),
+    ('robot', {'joints': ('joint1', 'joint1')}, 'joints and motors need names of their own'),
+    ('robot', {'joints': ('joint1', 'arm')}, "a joint cannot be called 'arm'"),
+    ('robot', {'joints': ('joint1',)}, 'arm describes 2 joints, but joints names 1'),
+    ('robot', {'motors': ('motor1', '')}, "'joint2' is flexible but motors has no name for it"),
+    ('robot', {'arm': arm()}, "joint 'joint2' is rigid .* but has motor")])
+def test_gains_and_names_that_cannot_be_are_refused(request, of, changes, sentence):
     with pytest.raises(ParameterError, match=sentence):
-        replace(gains, **changes)
-
-
-@pytest.mark.parametrize(('changes', 'sentence'), [
-    ({'joints': ('joint1', 'joint1')}, 'joints and motors need names of their own'),
-    ({'joints': ('joint1', 'arm')}, "a joint cannot be called 'arm'"),
-    ({'joints': ('joint1',)}, 'arm describes 2 joints, but joints names 1'),
-    ({'motors': ('motor1', '')}, "joint 'joint2' is flexible but motors has no name for it"),
-    ({'arm': arm()}, "joint 'joint2' is rigid .* but has motor")])
-def test_names_that_make_no_robot_are_refused(robot, changes, sentence):
-    with pytest.raises(ParameterError, match=sentence):
-        replace(robot, **changes)
+        replace(request.getfixturevalue(of), **changes)
 
 
 ROTARY = re.compile(r'\b(m?rad|N m|kg m)\b')

@@ -317,14 +317,10 @@ def test_only_names_of_this_machine_lead_here(asked, good):
     assert (refusal_of_host(asked) == '') is good
 
 
-def run_view(*arguments):
-    """Start the tool and return its process."""
-    return subprocess.Popen([*TOOL, 'view', *map(str, arguments)], stdout=subprocess.PIPE,
-                            stderr=subprocess.PIPE, text=True)
-
-
 def test_the_tool_prints_its_address_and_ends_with_0(tmp_path):
-    process = run_view(write_bag(tmp_path / 'bag'), '--port', 0)
+    process = subprocess.Popen(
+        [*TOOL, 'view', str(write_bag(tmp_path / 'bag')), '--port', '0'], text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     url = process.stdout.readline().split()[0]
     connection = http.client.HTTPConnection(url.split('/')[2], timeout=20)
     connection.request('GET', '/api/session')
