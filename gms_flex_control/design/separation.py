@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.design.motions import APPROACH, Candidate
-from gms_flex_control.discrepancy.dictionary import Dictionary, may_join
+from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of, may_join
 from gms_flex_control.discrepancy.evidence import state_of
 from gms_flex_control.discrepancy.fitting import (
     at_values,
@@ -307,9 +307,8 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
     for a, recording in enumerate(recordings):
         motions = [*so_far.motions, motion_of(recording, beliefs.robot)]
         likelihood = Likelihood(motions, beliefs.robot, seed, cautious=True).with_noise(noise)
-        # learns how encoder noise shows in the effects, without which fits take it for evidence
-        Dictionary(likelihood, likelihood.fitted(beliefs.robot, np.zeros(
-            len(likelihood.nuisances))), only=effects)
+        # else fits take noise for evidence
+        likelihood.learn_noise(guesses_of(likelihood, only=effects))
         states = [_state(likelihood, one, so_far.nuisances) for one in beliefs.hypotheses]
         odds[a] = log_odds(likelihood, [one.model for one in states],
                            [one.evidence for one in states])[a]

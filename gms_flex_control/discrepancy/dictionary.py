@@ -8,7 +8,6 @@ All guesses are put along the measured motion once, at small sizes. What a hypot
 then linear algebra.
 """
 
-from collections import Counter
 from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import standing_out
@@ -16,7 +15,7 @@ from gms_flex_control.discrepancy.evidence import NormalEquations
 from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.effects.base import Change, Guess, HIGHEST_ORDER, Stage, Term
+from gms_flex_control.effects.base import Guess, HIGHEST_ORDER, Stage, Term
 from gms_flex_control.effects.registry import find, names
 from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
 import numpy as np
@@ -26,7 +25,6 @@ _NEW = 1e-6           # of the squares of a guess's columns: nothing else makes 
 _EXACT = 8            # effects of joints whose gain is found within bounds, either way
 _MOST_TRIED = 40      # guesses, to find so many: some have a ladder of sizes
 _AT_ONCE = 64         # columns, kept in single precision, that are taken in double at once
-_RATIO_STEP = 0.1     # of a relative change that an effect is
 
 
 class Ranked(NamedTuple):
@@ -152,7 +150,7 @@ class Dictionary:
             self.columns[k] = likelihood.change(model, with_effect(
                 model.robot, self._specs[k]), model.x)
         list(likelihood.pool.map(fill, range(len(self._specs))))
-        self._learn_noise()
+        self._clear_noise(likelihood.learn_noise(self.guesses))
         self._places = np.cumsum([0, *(len(guess.probes) for _, _, guess in self.guesses)])
         self._own = list(likelihood.pool.map(self._products_of, range(len(self.guesses))))
 
@@ -162,26 +160,11 @@ class Dictionary:
         part = groups.ordered(self.columns[self._places[i]:self._places[i + 1]].astype(float))
         return groups.products(part, part)
 
-    def _learn_noise(self):
-        """Learn how encoder noise shows in linear guesses; clear columns in which it hides."""
-        likelihood = self._likelihood
-        ways = Counter((name, joint) for name, joint, _ in self.guesses)
-        linear = [(name, joint, guess.probes[0]) for name, joint, guess in self.guesses
-                  if guess.is_linear and ways[name, joint] == 1]
-
-        def learn(one):
-            name, joint, values = one
-            kind, sets = find(name), [(0, values)]
-            if issubclass(kind, Change):  # its further ratios, one by one
-                sets += [(k, tuple(_RATIO_STEP * (np.arange(len(values)) == k)))
-                         for k in range(1, len(values)) if kind.parameters[k].unit == '1']
-            likelihood.encoder_noise.learn(likelihood, EffectSpec(
-                name=name, joint=joint, values=values), sets)
-        list(likelihood.pool.map(learn, linear))
+    def _clear_noise(self, learned):
+        """Clear columns of residuals in which encoder noise, known of ``learned``, hides them."""
+        noise = self._likelihood.encoder_noise
         for column, spec in zip(self.columns, self._specs, strict=True):
-            column *= likelihood.encoder_noise.informative_of(spec)[
-                np.argmax(np.asarray(spec.values) != 0.0)]
-        learned = {one[:2] for one in linear}
+            column *= noise.informative_of(spec)[np.argmax(np.asarray(spec.values) != 0.0)]
         self._unknown = ~np.array([(spec.name, spec.joint) in learned or _is_of_torque(spec.name)
                                    for spec in self._specs], dtype=bool)
 

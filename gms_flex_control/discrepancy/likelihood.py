@@ -10,6 +10,7 @@ and loads add, white or coloured, counts as noise, and a rest at which friction 
 break-away does not count as much as motion does.
 """
 
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
@@ -42,10 +43,10 @@ from gms_flex_control.discrepancy.whitening import (
     WhitenedRecordings,
     Whitening,
 )
-from gms_flex_control.effects.base import Scales
+from gms_flex_control.effects.base import Change, Scales
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import SimulationError
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -55,6 +56,7 @@ _MEASURED_BY = 6       # of these: by which residuals are whitened
 _LEAST_SCALE, _MOST_SCALE = 0.1, 2.0  # of the torque that was commanded: drives give no more
 _WILD = 4.0            # times the squared torque that the recording lacks: driven wild
 _LOW = 4.0             # standard deviations of chi square: sums below are no merit of a model
+_RATIO_STEP = 0.1      # of a relative change that an effect is
 _MOST_ADDED = 3.0      # times what encoders add to the null simulations: as of twice the inertia
 
 
@@ -196,6 +198,26 @@ class Likelihood:
                 [[self.whitened.rows_of_spectra(run) for run in pair]
                  for pair in self.null.by_step],
                 self._cautious)
+
+    def learn_noise(self, guesses) -> set[tuple[str, str]]:
+        """
+        Learn how encoder noise shows in effects whose only guess is linear, and return them.
+
+        ``guesses`` are (effect, joint, Guess); those returned (effect, joint).
+        """
+        ways = Counter(guess[:2] for guess in guesses)
+        linear = [(name, joint, guess.probes[0]) for name, joint, guess in guesses
+                  if guess.is_linear and ways[name, joint] == 1]
+
+        def learn(one):
+            name, joint, values = one
+            kind, sets = find(name), [(0, values)]
+            if issubclass(kind, Change):  # its further ratios, one by one
+                sets += [(k, tuple(_RATIO_STEP * (np.arange(len(values)) == k)))
+                         for k in range(1, len(values)) if kind.parameters[k].unit == '1']
+            self.encoder_noise.learn(self, EffectSpec(name=name, joint=joint, values=values), sets)
+        list(self.pool.map(learn, linear))
+        return {one[:2] for one in linear}
 
     # --- likelihood --------------------------------------------------------------------------
 
