@@ -127,14 +127,18 @@ def few(monkeypatch):
 
 
 def test_the_planned_motion_is_expected_to_separate_what_is_left_and_keeps_limits(
-        robot, gains, forward_only, beliefs, few):
-    biased, _ = forward_only
-    wanted = np.log(99.0)
-    assert len(beliefs.left(wanted).hypotheses) == 2
+        robot, gains, few):
+    """While a joint turns one way, its friction presses the gear to one side of a play."""
+    loose = replace(robot, effects=(
+        EffectSpec(name='backlash', joint='joint2', values=(0.004,)),))
+    first = _recording(loose, robot, gains, builders.velocity_levels([[0.1, 0.15]], [8.0]))
+    beliefs = beliefs_of([first], robot, [frozenset({(name, 'joint2')}) for name in (
+        'backlash', 'spring_offset')])
+    assert len(beliefs.left(np.log(99.0)).hypotheses) == 2
     plan = plan_next(beliefs, gains, LIMITS, period=PERIOD, longest=12.0)
     assert plan.probability > 0.8 and plan.best.duration <= 12.0
-    assert 'friction_asymmetry of joint2' in plan.sentence()
-    found = _recording(biased, robot, gains, plan.best.candidate.trajectory(JOINTS),
+    assert 'spring_offset of joint2' in plan.sentence()
+    found = _recording(loose, robot, gains, plan.best.candidate.trajectory(JOINTS),
                        plan.best.duration)
     assert (np.abs(found.dq_link) <= 1.1 * LIMITS.velocity).all()
 
@@ -271,7 +275,7 @@ def test_noise_of_encoders_that_two_models_show_differently_is_no_evidence(belie
     weight = np.minimum(*(beliefs.likelihood.weights(one.sums.groups) for one in models))
     margin = 2.0 * np.sqrt(weight @ (noise[0] - noise[1]) ** 2)
     assert odds[0, 1] == pytest.approx(1.0 - margin) and odds[1, 0] == pytest.approx(-1.0 - margin)
-    assert margin > 1.0
+    assert margin > 0.3
 
 
 def test_a_joint_at_rest_steers_no_fit(robot, gains):
@@ -289,6 +293,20 @@ def test_a_joint_at_rest_steers_no_fit(robot, gains):
     assert best.effects == BIAS
     assert best.model.robot.effects[0].values[0] == pytest.approx(0.012, rel=0.15)
     assert np.abs(best.model.x / beliefs.likelihood.sd).max() < 3.0
+
+
+@pytest.mark.parametrize('motion', ['fast_swings', 'slow_swings'])
+def test_a_friction_that_differs_by_direction_is_no_constant_torque(motion, robot, gains):
+    """Levels differ where joints slide; the sign of a velocity at rest is noise and no effect."""
+    uneven = replace(robot, effects=(
+        EffectSpec(name='friction_asymmetry', joint='joint2', values=(-0.1,)),))
+    one = next(one for one in candidates(LIMITS, JOINTS, 1.95) if one.name == motion)
+    recordings = [_recording(uneven, robot, gains, along, duration) for along, duration in (
+        (builders.via_points(np.outer(np.linspace(0.0, 1.0, 4), [0.9, 1.2]), 2.0, 0.0), 6.5),
+        (one.trajectory(JOINTS), 10.0))]
+    best = beliefs_of(recordings, robot, [BIAS, ASYMMETRY]).hypotheses[0]
+    assert best.effects == ASYMMETRY
+    assert best.model.robot.effects[0].values[0] == pytest.approx(-0.1, rel=0.25)
 
 
 SOFTER = frozenset({('stiffness_error', 'joint2')})

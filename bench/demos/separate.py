@@ -36,11 +36,11 @@ _PATIENCE = 120.0  # for nodes to start, compiling included [s]
 VERB = Verb(
     'demo-next', lambda args: demo_next(args),
     'two names for one recording; designed motions leave one, over ROS 2',
-    'Hide a constant torque on the second link, record moves in one direction, which a friction '
-    'that differs by direction explains as well, then design, drive and record motions until one '
-    'of both names is left. Exit code 1 if it is not the true one.', (
+    'Hide a play in the second joint and record a slow motion one way: friction presses the gear '
+    'to one side, which an offset of the spring explains as well. Then design, drive and record '
+    'motions until one of both names is left. Exit code 1 if it is not the true one.', (
         option('--effects', nargs='+', metavar='EFFECT:JOINT',
-               default=['constant_link_torque:joint2', 'friction_asymmetry:joint2'],
+               default=['backlash:joint2', 'spring_offset:joint2'],
                help='explanations (default: %(default)s)'),
         option('--seed', type=int, default=0, least=0, help='of what is believed of the robot'),
         number('--budget', 'S', 30.0, 'robot time after the first recording', least=8.0,

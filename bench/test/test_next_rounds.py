@@ -20,13 +20,13 @@ CONFIG = Path(__file__).parents[2] / 'config'
 
 
 def test_rounds_in_simulation_leave_the_true_name(robot, gains, tmp_path, capsys):
-    biased = replace(robot, effects=(
-        EffectSpec(name='constant_link_torque', joint='joint2', values=(0.012,)),))
+    loose = replace(robot, effects=(
+        EffectSpec(name='backlash', joint='joint2', values=(0.004,)),))
     recording = simulate(Plan(
-        robot=biased, model=robot, gains=gains, motion='moves in one direction', duration=6.5,
-        trajectory=builders.via_points(np.outer(np.linspace(0.0, 1.0, 4), [0.9, 1.2]), 2.0, 0.0),
+        robot=loose, model=robot, gains=gains, motion='creeping one way', duration=6.5,
+        trajectory=builders.velocity_levels([[0.1, 0.15]], [8.0]),
         period_ns=2_000_000, substeps=20, seed=5, q_link=np.zeros(2)))
-    save_robot(biased, tmp_path / 'true.yaml')
+    save_robot(loose, tmp_path / 'true.yaml')
     write_recording(tmp_path / 'bag', replace(  # in amperes; the simulated robot's is torque
         recording, tau_motor=20.0 * recording.tau_motor, command=20.0 * recording.command),
                     robot.motors)
@@ -36,12 +36,12 @@ def test_rounds_in_simulation_leave_the_true_name(robot, gains, tmp_path, capsys
     (tmp_path / 'gap' / 'report.json').write_text(json.dumps({
         'sources': [str(tmp_path / 'bag')], 'credible': [], 'findings': [], 'minor': []}))
     arguments = ['next', tmp_path / 'gap', '--robot', CONFIG / 'robot.yaml', '--limits',
-                 CONFIG / 'bridge.yaml', '--effects', 'constant_link_torque:joint2',
-                 'friction_asymmetry:joint2', '--simulate', tmp_path / 'true.yaml', '--budget',
+                 CONFIG / 'bridge.yaml', '--effects', 'backlash:joint2',
+                 'spring_offset:joint2', '--simulate', tmp_path / 'true.yaml', '--budget',
                  '30', '--out', tmp_path / 'rounds']
     assert main(list(map(str, arguments))) == 0
     values = json.loads((tmp_path / 'rounds' / 'separation.json').read_text())
-    assert values['left'] == ['constant_link_torque of joint2']
+    assert values['left'] == ['backlash of joint2']
     assert 0.0 < values['robot_time'] <= 30.0
     assert values['robot_time'] == sum(one['best']['duration'] for one in values['rounds'])
     known = conditions_of(tmp_path / 'rounds' / '1' / 'bag')

@@ -48,8 +48,8 @@ def as_parameters(robot: RobotParams) -> RobotParams:
     """
     if not robot.effects:
         return robot
-    kinds = [(find(spec.name), spec) for spec in robot.effects]
     robot = with_friction(robot)
+    kinds = [(find(spec.name), spec) for spec in robot.effects]
     return with_changes(replace(robot, effects=tuple(
         spec for kind, spec in kinds if kind.fed_forward or issubclass(kind, Change))))
 

@@ -77,13 +77,6 @@ class _Joint:
     ripples: list = field(default_factory=list)  # (amplitude, order, phase)
 
 
-def _friction_asymmetry(joint, ratio):
-    factors = np.array([1.0 + ratio, 1.0 - ratio])
-    joint.loss, joint.excess, joint.viscous = (
-        factors * value for value in (joint.loss, joint.excess, joint.viscous))
-    joint.elements = [(stiffness, factors * levels) for stiffness, levels in joint.elements]
-
-
 def _friction_hysteresis(joint, force, reach):
     for _ in range(4):
         if force and reach:
@@ -131,7 +124,7 @@ EFFECTS = {
     'actuator_lag': _add('lag', _DRIVE), 'actuator_saturation': _actuator_saturation,
     'backlash': _backlash, 'constant_link_torque': _add('link_torque'),
     'end_stop': lambda joint, *stop: joint.stops.append(stop),
-    'friction_asymmetry': _friction_asymmetry, 'friction_hysteresis': _friction_hysteresis,
+    'friction_hysteresis': _friction_hysteresis,
     'input_delay': _add('delay', _DRIVE), 'motor_coulomb': _add('motor_loss'),
     'motor_torque_bias': _add('motor_torque'), 'motor_viscous': _add('motor_viscous'),
     'quadratic_drag': _add('drag'), 'spring_cubic': _add('cubic', _SPRING),
@@ -149,15 +142,12 @@ _CLASHES = (('backlash', 'spring_offset'), ('backlash', 'spring_hysteresis'),
 
 def _also_lacks(robot):
     """Yield (name, where) of effects that MuJoCo has alone but not together on a joint."""
-    for j, joint in enumerate(robot.joints):
+    for joint in robot.joints:
         names = sorted((spec.name for spec in robot.effects if spec.joint == joint),
                        key=lambda name: find(name).stage)
         for first, second in _CLASHES:
             if first in names and second in names[names.index(first) + 1:]:
                 yield second, f'{joint} (behind {first})'
-        excess = robot.friction.forward.static[j] - robot.friction.forward.coulomb[j]
-        if 'friction_asymmetry' in names and excess > 0.0:
-            yield 'stribeck_direction', joint
 
 
 def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) -> str:

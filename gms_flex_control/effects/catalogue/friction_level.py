@@ -43,32 +43,35 @@ class CoulombError(Change):
         return replace(robot, friction=replace(robot.friction, **sides))
 
 
-class FrictionAsymmetry(Term):
-    """F -> F (1 + ratio sgn(dq_link))."""
+class FrictionAsymmetry(Change):
+    """
+    F_s, F_c and viscous friction -> (1 + ratio) of them forward, (1 - ratio) backward.
+
+    Not friction times the sign of the velocity: at rest that of a measured one is noise.
+    """
 
     name = 'friction_asymmetry'
     words = 'Friction stronger one way than the other'
-    stage = Stage.FRICTION
     evidence = 'link rate'
     similar = ('constant_link_torque', 'viscous_asymmetry')
     discriminated_by = 'motion both ways over the whole range, with rests between'
     replaces = 'asymmetry'
-    parameters = (Parameter('ratio', '1', 'relative difference', typical=0.2,
-                            searched=(LEAST_RELATIVE, -LEAST_RELATIVE)),)
+    parameters = (Parameter('ratio', '1', 'relative difference', lower=-0.95, upper=0.95,
+                            typical=0.2, searched=(LEAST_RELATIVE, -LEAST_RELATIVE)),)
     guesses = staticmethod(lambda s: linear(0.1))
 
     @staticmethod
     def in_friction(steady, direction, values) -> StribeckParams:
-        factor = np.maximum(1.0 + direction * values[0], 0.05)  # levels stay above zero
+        factor = 1.0 + direction * values[0]
         return replace(steady, static=steady.static * factor, coulomb=steady.coulomb * factor,
                        viscous=steady.viscous * factor)
 
-    @staticmethod
-    def apply(s, p, memory, dt) -> None:
-        if s[DQ_LINK] > 0.0:
-            s[FRICTION] *= 1.0 + p[0]
-        elif s[DQ_LINK] < 0.0:
-            s[FRICTION] *= 1.0 - p[0]
+    @classmethod
+    def change(cls, robot, joint, values) -> RobotParams:
+        ratio = values[0] * (np.arange(robot.n_joints) == joint)
+        return replace(robot, friction=replace(robot.friction, **{
+            side: cls.in_friction(getattr(robot.friction, side), direction, [ratio])
+            for side, direction in (('forward', 1.0), ('backward', -1.0))}))
 
 
 class FrictionDrift(Term):
