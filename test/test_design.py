@@ -14,7 +14,11 @@ from gms_flex_control.data.conditions import conditions_of, repeat_conditions
 from gms_flex_control.data.recording import Operation
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.design import determination
-from gms_flex_control.design.determination import missing_of, plan_determination
+from gms_flex_control.design.determination import (
+    experiments_for,
+    missing_of,
+    plan_determination,
+)
 from gms_flex_control.design.motions import below_break_away, by_hand, candidates, random_moves
 from gms_flex_control.design.plan import (
     BUDGET,
@@ -42,10 +46,12 @@ from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.dynamics.chain import mass_matrices
 from gms_flex_control.errors import BagError, ConfigError
+from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.simulated import Plan, simulate
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import Body, carrying
 from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.schema.files import load_limits, read_values
 from gms_flex_control.simulation.plant import constants_of
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -426,6 +432,20 @@ def test_information_about_what_is_missing_has_all_else_eliminated():
     assert worth.sd == pytest.approx(0.1 / np.sqrt(left))
 
 
+def test_experiments_measure_what_they_can_within_limits(robot, gains):
+    """A payload is none of theirs; with a range of nothing there are none."""
+    missing = [('static', 'joint1'), ('blocks', 'joint2'), ('inertia', 'joint2')]
+    found = experiments_for(missing, [robot], gains, LIMITS)
+    assert found.measured == (('static', 'joint1'), ('blocks', 'joint2'))
+    assert found.values['identification.experiments'] == ['break_away', 'presliding']
+    assert found.values['identification.joints'] == ['joint1', 'joint2']
+    assert found.duration > 10.0 and 'static of joint1, blocks of joint2' in found.sentence()
+    assert experiments_for(missing[2:], [robot], gains, LIMITS) is None
+    for tight in (replace(LIMITS, lower=[-0.05] * 2, upper=[0.05] * 2),
+                  replace(LIMITS, torque=[0.01] * 2)):
+        assert experiments_for(missing, [robot], gains, tight) is None
+
+
 def test_a_draw_is_two_standard_deviations_away():
     root = np.random.default_rng(1).normal(size=(5, 5))
     shift = two_sigma(root @ root.T, np.random.default_rng(2))
@@ -468,5 +488,11 @@ def test_what_identify_left_open_is_determined_by_the_motion_planned(
     assert (np.array(best['sd']) < values['sd_before']).all()
     assert 'attraction of joint2 to' in ' '.join(capsys.readouterr().out.split())
     assert (tmp_path / 'plan' / 'trajectory.yaml').is_file()
+    planned, _ = read_values([tmp_path / 'plan' / 'identification.yaml'])
+    steps = plan_identification(planned, robot, gains).experiments
+    assert {(one.phase, one.joint) for one in steps} == {
+        ('presliding', 'joint2'), ('sliding', 'joint2')}
+    limits = load_limits([CONFIG / 'bridge.yaml'], JOINTS)
+    assert planned['identification.joint1.upper'] == limits.upper[0]
     assert main([*map(str, arguments), '--weight', '1']) == 2
     assert 'separate explanations of discrepancy' in capsys.readouterr().err

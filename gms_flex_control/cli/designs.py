@@ -112,7 +112,14 @@ def _determine(report, args, out):
             missing_of(report), gains, limits, period=1.0 / args.rate,
             duration=min(args.longest, _DETERMINED), say=say)
     trajectory, columns = write_plan(plan, out), ('so far', 'then', '')
+    files = {'motion': trajectory, 'numbers': out / 'plan.json'}
+    if plan.experiments is not None:
+        files['experiments'] = out / 'identification.yaml'
+        save_values(plan.experiments.values, files['experiments'],
+                    comment=plan.experiments.sentence())
+        say(plan.experiments.sentence())
     values = {'sentence': plan.sentence(), 'missing': plan.missing, 'duration': plan.duration,
+              'experiments': plan.experiments and plan.experiments.sentence(),
               'sd_before': plan.before.sd, 'compared': [
                   {'motion': one.candidate.name, 'log_determinant': one.information,
                    'sd': one.sd} for one in plan.compared]}
@@ -125,8 +132,7 @@ def _determine(report, args, out):
                                            strict=True))
     conclude(Answer(plan.sentence(), columns, numbers[:3], command(
         'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',
-        f'{plan.duration:.0f}', '--out', out / 'bag')),
-        {'motion': trajectory, 'numbers': out / 'plan.json'})
+        f'{plan.duration:.0f}', '--out', out / 'bag')), files)
     return 0
 
 

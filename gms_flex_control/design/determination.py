@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Operation, Recording
-from gms_flex_control.design.motions import below_break_away, Candidate, candidates
+from gms_flex_control.design.motions import below_break_away, Candidate, candidates, QUICK
 from gms_flex_control.design.plan import clipped, PACES
 from gms_flex_control.design.separation import DRAWS, Loop, stops_within, two_sigma
 from gms_flex_control.discrepancy.fitting import informative
@@ -22,6 +22,7 @@ from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
 from gms_flex_control.errors import ConfigError
+from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.simulated import to_recording
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
@@ -35,6 +36,9 @@ _KINDS = {'static': ('static',), 'coulomb': ('level',), 'velocity': ('velocity',
           'viscous': ('viscous',), 'attraction': ('attraction',), 'weight': ('blocks',),
           'stiffness': ('blocks',), 'mass': ('gravity', 'inertia'), 'com': ('gravity', 'inertia'),
           'inertia': ('inertia',), 'motor_inertia': ('motor_inertia',), 'damping': ('damping',)}
+# experiments of identification_node that measure a kind by itself, in its order
+_MEASURED_BY = {'constant_velocity': ('level', 'velocity', 'viscous'), 'break_away': ('static',),
+                'presliding': ('blocks',), 'sliding': ('attraction',)}
 
 
 class Worth(NamedTuple):
@@ -45,11 +49,27 @@ class Worth(NamedTuple):
     sd: np.ndarray        # (K,) relative standard deviations that it leaves
 
 
+class Experiments(NamedTuple):
+    """What identification_node measures of it."""
+
+    values: dict      # its parameters
+    duration: float   # about [s]
+    measured: tuple   # of (kind, joint)
+
+    def sentence(self) -> str:
+        """Return what it does."""
+        return (f'{" and ".join(self.values["identification.experiments"])} of '
+                f'{" and ".join(self.values["identification.joints"])}, about '
+                f'{self.duration:.0f} s by identification_node, measure '
+                f'{", ".join(" of ".join(key) for key in self.measured)}.')
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Determination:
     """The motion to be recorded for an identification."""
 
     missing: tuple        # of str: what was not identified
+    experiments: Experiments | None  # that measure some of it, if there are any within limits
     before: Worth         # with the recordings so far
     compared: tuple       # of Worth, the best first
     duration: float       # [s]
@@ -96,6 +116,8 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
     so_far = _information(recordings, robot, missing)
     loop = Loop(clipped(gains, limits), limits, period, (), (robot, *so_far.drawn(robot)),
                 recordings[-1].operation.load)
+    experiments = experiments_for(missing, (robot, *so_far.drawn(robot)), loop.gains, limits,
+                                  say=say)
     found, stuck = [], below_break_away(robot)
     for kind in zip(*(candidates(limits, robot.joints, pace, stuck=stuck) for pace in PACES),
                     strict=True):
@@ -113,7 +135,42 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
                           'with gms_flex tune')
     found.sort(key=lambda one: -one.information)
     return Determination(missing=tuple(' of '.join(key) for key in so_far.wanted.values()),
-                         before=so_far.worth(), compared=tuple(found), duration=duration)
+                         experiments=experiments, before=so_far.worth(), compared=tuple(found),
+                         duration=duration)
+
+
+def experiments_for(missing: Sequence[tuple[str, str]], robots: Sequence[RobotParams],
+                    gains: ControllerParams, limits: Limits, *,
+                    say: Callable[[str], object] = lambda text: None) -> Experiments | None:
+    """
+    Return the Experiments that measure what is missing of the first of ``robots``.
+
+    None where there are none, or a step would cross a limit with any of the ``robots``.
+    """
+    joints = robots[0].joints
+    measured = tuple((kind, joint) for kind, joint in missing
+                     if joint in joints and any(kind in one for one in _MEASURED_BY.values()))
+    if not measured:
+        return None
+    values = {
+        'identification.experiments': [name for name, kinds in _MEASURED_BY.items()
+                                       if any(kind in kinds for kind, _ in measured)],
+        'identification.joints': [one for one in joints if one in {key[1] for key in measured}]}
+    for j, joint in enumerate(joints):
+        values |= {f'identification.{joint}.{name}': float(getattr(limits, name)[j])
+                   for name in ('lower', 'upper', 'velocity', 'torque')}
+    refused = None
+    for pace in PACES:  # there is no limit of acceleration, but one of torque
+        values |= {f'identification.{joint}.acceleration': float(QUICK * limits.velocity[j] / pace)
+                   for j, joint in enumerate(joints)}
+        try:
+            plans = [plan_identification(values, robot, gains) for robot in robots]
+        except ConfigError as error:
+            refused = refused or error
+        else:
+            return Experiments(values, plans[0].duration(), measured)
+    say(f'no experiments of identification_node: {refused}')
+    return None
 
 
 class _Information(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 
 APPROACH = 2.0         # to the beginning of a motion, and to rest: of the trajectory node [s]
 _OF_LIMIT = 0.8        # share of each limit that a reference uses: the robot overshoots
-_QUICK, _QUICKEST = 4.0, 8.0  # velocity limits that moves, and swings, gain in a second
+QUICK, _QUICKEST = 4.0, 8.0  # velocity limits that moves, and swings, gain in a second
 _SLOW, _CREEP = 2.5, 20.0  # times the shortest period or time that the limits allow
 _GENTLE = 12.0         # times the shortest period, of the slowest swings
 _APART = 1.3           # times the period of the joint before: joints are not in step
@@ -187,7 +187,7 @@ def _moves(name, words, places, limits, joints, slower, hold):
     distance = np.abs(np.diff(places, axis=0)).max(axis=0)
     time = slower * np.max(np.maximum(
         _FASTEST * distance / (_OF_LIMIT * limits.velocity),
-        np.sqrt(_STEEPEST * distance / (_OF_LIMIT * _QUICK * limits.velocity))))
+        np.sqrt(_STEEPEST * distance / (_OF_LIMIT * QUICK * limits.velocity))))
     parameters = {'trajectory.type': 'via_points', 'trajectory.move_time': float(time),
                   'trajectory.hold_time': hold}
     return Candidate(name, words, parameters | {
