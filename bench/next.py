@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`python -m bench next`: names that a first recording leaves, and motions that separate them."""
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 import json
@@ -33,7 +34,9 @@ FIXED = 'rich', 'random', 'small'  # motions that are compared with designed one
 TIMES = 5.0, 10.0, 20.0         # of robot time at which the fixed motions are judged [s]
 BUDGET, ODDS = 20.0, 99.0       # robot time of the designed motions [s]; odds wanted
 ASKED, ASKED_RANDOM = 0.8, 0.4  # share resolved rightly in the budget: at least, at most
-_TRIES, _SMALLER = 8, 0.6       # sizes of a hidden effect until the first recording leaves two
+NARROW = 0.5                    # share of first recordings that are; the others are random moves
+_DRAWS, _TRIES, _SMALLER = 12, 12, 0.7  # robots, sizes of a hidden effect, until two are left
+NOTHING = frozenset()           # no effect is missing
 _SEED = 27                      # stream of random numbers, of no other bench
 _STEP, _MOVE, _HOLD = 0.3, 1.5, 0.5  # small moves by hand: at most [rad], time of each, rest [s]
 _SOURCES = ('discrepancy', 'design', 'effects', 'simulation')
@@ -56,7 +59,7 @@ class Family(NamedTuple):
     """Effects that one kind of recording does not separate."""
 
     effects: tuple   # of (effect, index of the joint)
-    motion: dict     # of the first recording
+    motion: dict     # narrow, that shows all of them alike
 
 
 FAMILIES = {
@@ -99,6 +102,7 @@ class Robot(NamedTuple):
     sets: list          # left by the first recording
     first: object       # Recording
     plant: str          # 'soft' or 'stiff'
+    motion: str         # of the first recording, 'narrow' or 'random'
 
 
 VERB = Verb(
@@ -140,7 +144,7 @@ def tried(item) -> dict | None:
             return None
         kept = []
         row = {'family': item.family, 'seed': item.seed, 'plant': robot.plant,
-               'hidden': ' '.join(*robot.effect),
+               'first': robot.motion, 'hidden': ' '.join(*robot.effect),
                'left': [' '.join(sorted(one)[0]) for one in robot.sets],
                'designed': _designed(robot, item, kept)}
         rng = np.random.default_rng([_SEED, item.seed, 1])
@@ -170,14 +174,21 @@ def small_moves(limits, joints, seed) -> Candidate:
 
 def draw(item) -> Robot | None:
     """
-    Draw a Robot, with smaller and smaller effects until its first recording leaves two names.
+    Draw a Robot whose first recording tells that something is missing, and leaves two names.
 
     As `discrepancy` does: no name has 95 % of the probability.
-
-    Until its controller moves it within the limits, too: with a large delay it oscillates.
     """
-    family = FAMILIES[item.family]
     rng = np.random.default_rng([_SEED, list(FAMILIES).index(item.family), item.seed])
+    for _ in range(_DRAWS):
+        with suppress(GmsFlexError):
+            found = _drawn(rng, item, FAMILIES[item.family])
+            if found is not None:
+                return found
+    return None
+
+
+def _drawn(rng, item, family):
+    """Return a Robot with smaller and smaller effects until two names are left, or None."""
     plant = str(rng.choice(plants.PLANTS))
     robot, gains = plants.draw_robot(rng, plant)
     believed = plants.draw_belief(rng, robot)
@@ -186,27 +197,28 @@ def draw(item) -> Robot | None:
                     position_margin=[0.1] * 2, torsion=1.0 / robot.arm.stiffness)
     sets = [frozenset({(name, 'arm' if name == 'tip_payload' else robot.joints[j])})
             for name, j in family.effects]
-    name, j = family.effects[item.seed % len(family.effects)]
-    reference = Candidate('first', '', family.motion).trajectory(robot.joints).sample(
-        PERIOD * np.arange(round(FIRST / PERIOD)))
-    slow = gentlest(limits, robot.joints).trajectory(robot.joints).sample(
-        PERIOD * np.arange(round(FIRST / PERIOD)))
-    try:
-        bare = truth.simulate(robot, believed, gains, reference, period=PERIOD)
-        given = sizes.MAIN[name](rng, sizes.figures_of(robot, bare, PERIOD)[j])
-        size = next(iter(given))
-        for _ in range(_TRIES):
-            true = replace(robot, effects=(sizes.spec(name, j, robot.joints, given),))
-            first = drive(true, believed, gains, reference, item.seed)[1]
-            beliefs = beliefs_of([first], believed, sets)
-            left = [one.effects for one in beliefs.left(np.log(ODDS)).hypotheses]
-            if (beliefs.probabilities[0] < CREDIBLE and sets[item.seed % len(sets)] in left
-                    and keeps(drive(true, believed, gains, slow, item.seed)[0], limits)):
-                return Robot(true, believed, clipped(gains, limits), limits,
-                             sets[item.seed % len(sets)], left, first, plant)
-            given = given | {size: _SMALLER * given[size]}
-    except GmsFlexError:
-        pass
+    hidden, (name, j) = (some[item.seed % len(sets)] for some in (sets, family.effects))
+    narrow, grid = rng.random() < NARROW, PERIOD * np.arange(round(FIRST / PERIOD))
+    reference, slow = (one.trajectory(robot.joints).sample(grid) for one in (
+        Candidate('narrow', '', family.motion) if narrow else random_moves(
+            limits, robot.joints, int(rng.integers(1000, 2000))), gentlest(limits, robot.joints)))
+    bare = truth.simulate(robot, believed, gains, reference, period=PERIOD)
+    given = sizes.MAIN[name](rng, sizes.figures_of(robot, bare, PERIOD)[j])
+    size = next(iter(given))
+    for _ in range(_TRIES):
+        true = replace(robot, effects=(sizes.spec(name, j, robot.joints, given),))
+        first = drive(true, believed, gains, reference, item.seed)[1]
+        beliefs = beliefs_of([first], believed, [*sets, NOTHING])
+        evidence = {one.effects: one.evidence for one in beliefs.hypotheses}
+        if max(evidence.values()) - evidence[NOTHING] < 2.0 * np.log(ODDS):
+            return None  # and a smaller one shows less
+        left = beliefs.left(np.log(ODDS))
+        names = [one.effects for one in left.hypotheses if one.effects != NOTHING]
+        if (left.probabilities[0] < CREDIBLE and len(names) > 1 and hidden in names
+                and keeps(drive(true, believed, gains, slow, item.seed)[0], limits)):
+            return Robot(true, believed, clipped(gains, limits), limits, hidden, names, first,
+                         plant, 'narrow' if narrow else 'random')
+        given = given | {size: _SMALLER * given[size]}
     return None
 
 
@@ -274,10 +286,10 @@ def shares(rows) -> dict:
 
 def text_of(rows):
     """Yield tables of the figures."""
-    yield align(['hidden', 'left', 'plant', 'designed', 's', *FIXED], [
-        [one['hidden'], str(len(one['left'])), one['plant'], one['designed']['answer'],
-         f'{one["designed"]["time"]:.0f}', *('/'.join(one[name]['answers'])
-                                             for name in FIXED)] for one in rows])
+    yield align(['hidden', 'left', 'plant', 'first', 'designed', 's', *FIXED], [
+        [one['hidden'], str(len(one['left'])), one['plant'], one['first'],
+         one['designed']['answer'], f'{one["designed"]["time"]:.0f}',
+         *('/'.join(one[name]['answers']) for name in FIXED)] for one in rows])
     if not rows:
         return
     yield align(['resolved rightly', *(f'{at:g} s' for at in TIMES)], [
