@@ -87,7 +87,7 @@ class Started(NamedTuple):
     parameters: dict[str, Any]
     namespace: str = ''
     remappings: tuple = ()
-    ends_all: bool = False  # the launch ends with it
+    on_exit: Any = None     # takes the event of its end and the context
     prefix: str = ''        # words before the executable
 
 
@@ -140,5 +140,5 @@ def _process(action, known, common, namespace):
     words = [text(word, known) for word in options.get('arguments', ())]
     return Started(options['executable'], words, files, own, namespace,
                    tuple(options.get('remappings', ())),
-                   _kind(options.get('on_exit')) == 'Shutdown',
+                   options.get('on_exit'),
                    text(options.get('prefix', ''), known))

@@ -6,11 +6,13 @@
 from importlib import util
 import os
 from pathlib import Path
+import re
 import signal
 import stat
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 from gms_flex_control import nodes
 from gms_flex_control.data.reader import read_recording
@@ -123,8 +125,18 @@ def test_helpers_of_packages_that_are_missing_are_warnings(start, monkeypatch, c
 def test_helpers_come_first_and_the_loop_ends_with_any_of_its_nodes(name, start):
     found = start(name, rviz='true', record='bag')
     assert sorted(list(found)[:3]) == sorted([*SHOWN, 'gms_flex'])
-    assert all(found[node].ends_all for node in LOOP)
-    assert start(name, composed='true')['loop_node'].ends_all
+    for process in (*(found[node] for node in LOOP),
+                    start(name, composed='true')['loop_node']):
+        assert type(at_exit(process, 0)).__name__ == 'Shutdown'
+        assert at_exit(process, -9, ending=True) is None  # it was too slow to end
+        with pytest.raises(RuntimeError, match='ended with exit code -9'):  # which launch reports
+            at_exit(process, -9)
+
+
+def at_exit(process, code, ending=False):
+    """Return what the launch does at the end of a process; ``ending`` is the launch itself."""
+    return process.on_exit(SimpleNamespace(returncode=code, process_name=process.executable),
+                           SimpleNamespace(is_shutdown=ending))
 
 
 @pytest.mark.parametrize('name', FILES)
@@ -227,10 +239,9 @@ sys.exit(service.run())
 """
 
 
-@needs_launch
-@pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
-def test_the_real_launch_runs_the_loop_in_a_namespace(tmp_path, monkeypatch):
-    """Installed nodes track in lockstep until the plant's time is over, which ends all of them."""
+@pytest.fixture
+def launch(tmp_path, monkeypatch):
+    """Return a function that starts the real launch of the demo with installed nodes (Popen)."""
     register('gms_flex_control', tmp_path)
     (tmp_path / 'share' / 'gms_flex_control').symlink_to(ROOT)
     folder = tmp_path / 'lib' / 'gms_flex_control'
@@ -241,17 +252,43 @@ def test_the_real_launch_runs_the_loop_in_a_namespace(tmp_path, monkeypatch):
     monkeypatch.setenv('AMENT_PREFIX_PATH', os.pathsep.join(
         [str(tmp_path), *filter(None, [os.environ.get('AMENT_PREFIX_PATH')])]))
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
+    for name, value in private_environment().items():
+        monkeypatch.setenv(name, value)
+
+    def started(*words):
+        return subprocess.Popen(
+            [sys.executable, '-c', RUN, str(ROOT / 'launch' / 'demo.launch.py'), 'rviz:=false',
+             *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    return started
+
+
+@needs_launch
+@pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
+def test_the_real_launch_runs_the_loop_in_a_namespace(launch, tmp_path):
+    """Installed nodes track in lockstep until the plant's time is over, which ends all of them."""
     robot = tmp_path / 'robot.yaml'
     text = (ROOT / 'config' / 'robot.yaml').read_text()
     robot.write_text(text.replace('parameters:\n', 'parameters:\n    duration: 1.0\n'
                                   '    wait_for_subscribers: 3\n', 1))
-    for name, value in private_environment().items():
-        monkeypatch.setenv(name, value)
-    done = subprocess.run(
-        [sys.executable, '-c', RUN, str(ROOT / 'launch' / 'demo.launch.py'),
-         'rviz:=false', 'mode:=lockstep', 'namespace:=left', f'robot:={robot}',
-         f'record:={tmp_path / "bag"}'], capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    process = launch('mode:=lockstep', 'namespace:=left', f'robot:={robot}',
+                     f'record:={tmp_path / "bag"}')
+    printed, _ = process.communicate(timeout=60)
+    assert process.returncode == 0, printed
     recording = read_recording(tmp_path / 'bag')
     assert recording.time[-1] == pytest.approx(1.0, abs=0.01)
     assert not np.isnan(recording.command[10:-1]).any()
+
+
+@needs_launch
+@pytest.mark.flaky(reruns=2)
+def test_the_real_launch_fails_with_a_node_that_is_killed(launch):
+    process = launch()
+    started = re.compile(r'controller_node.*process started with pid .(\d+)')
+    number = next(int(found[1]) for line in process.stdout if (found := started.search(line)))
+    next(line for line in process.stdout if 'ACTIVE' in line)
+    os.kill(number, signal.SIGKILL)
+    printed, _ = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert 'ended with exit code -9' in printed
+    for name in ('plant_node', 'trajectory_node'):
+        assert re.search(rf'{name}.*process has finished cleanly', printed)

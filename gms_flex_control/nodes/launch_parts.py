@@ -111,7 +111,8 @@ def closed_loop(controller=None, trajectory=None) -> list:
     """
     Return the robot, simulated or bridged, the controller and the trajectory, or loop_node.
 
-    The launch ends with any of them: the others leave zero torque. ``controller`` and
+    The launch ends with any of them: the others leave zero torque, and where it was no end in
+    order the exit code is 1. ``controller`` and
     ``trajectory`` are parameters (dict) of theirs beyond the files.
     """
     bridge = LaunchConfiguration('bridge')
@@ -137,7 +138,17 @@ def closed_loop(controller=None, trajectory=None) -> list:
 
 
 def _required(executable, *parameters, condition=None):
-    return node(executable, *parameters, condition=condition, on_exit=Shutdown())
+    return node(executable, *parameters, condition=condition, on_exit=_end)
+
+
+def _end(event, context):
+    """End the launch with a node; where that failed, so does the launch, with exit code 1."""
+    if context.is_shutdown:  # too slow an end is killed
+        return None
+    if event.returncode:
+        # of an exception alone launch makes an exit code; the other nodes end as they always do
+        raise RuntimeError(f'{event.process_name} ended with exit code {event.returncode}')
+    return Shutdown()
 
 
 def _recorder():
