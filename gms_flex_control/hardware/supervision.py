@@ -11,9 +11,10 @@ STOOD_STILL = 0.05     # of the bridge, upon which its guardian sends zero effor
 NOTABLE = 0.1          # share of late samples from which on an arm is not what its gains make it
 LATE = ('the controller is late, and the arm does not move as its gains would have it; run fewer '
         'programs, set realtime_priority, lower the rate')
-# on /diagnostics, of a simulated robot and of a bridge: samples, those without a command in time
-SIMULATED = 'samples', 'samples without a fresh command'
-BRIDGED = 'states out', 'states without a fresh command'
+# on /diagnostics, of a simulated robot and of a bridge: samples, those without a command in time,
+# and those that never were because the machine was too busy
+SIMULATED = 'samples', 'samples without a fresh command', 'samples left out'
+BRIDGED = 'states out', 'states without a fresh command', ''
 UNNAMED = 'somebody without a source label'
 _RECENT = 1.0          # over which lateness is counted [s]
 _WINDOW = 50_000_000   # a source that was heard within this is still there [ns]

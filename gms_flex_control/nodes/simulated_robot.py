@@ -228,8 +228,8 @@ class SimulatedRobot(SupervisedRobot):
         """Return what to report on /diagnostics."""
         return {
             'state': self._supervisor.state, 'reason': self._supervisor.reason,
-            **dict(zip(SIMULATED, (self._arm.ticks, self._pace.missed), strict=True)),
-            'samples left out': self._pace.left_out, 'commands refused': self._refused,
+            **dict(zip(SIMULATED, (self._arm.ticks, self._pace.missed, self._pace.left_out),
+                       strict=True)), 'commands refused': self._refused,
             'faults': self._supervisor.faults,
             **self._commands.figures(time.monotonic_ns())}
 

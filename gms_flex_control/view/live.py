@@ -171,20 +171,20 @@ class Status:
 
     def __init__(self):
         self._said, self._heard = {}, None
-        self._counts = deque()  # time [s], samples, late ones
+        self._counts = deque()  # time [s], samples, late ones, those left out
 
     def report(self, values, time, now) -> None:
         """Take the values (dict of str) of a DiagnosticStatus stamped ``time``, ``now`` [s]."""
         self._said, self._heard = values, now
-        for samples, late in (SIMULATED, BRIDGED):
-            numbers = values.get(samples, ''), values.get(late, '0')
+        for samples, *others in (SIMULATED, BRIDGED):
+            numbers = values.get(samples, ''), *(values.get(name, '0') for name in others)
             if all(map(str.isdecimal, numbers)):
                 self._count(time, *map(int, numbers))
 
-    def _count(self, time, samples, late):
+    def _count(self, time, samples, *others):
         if self._counts and (time <= self._counts[-1][0] or samples < self._counts[-1][1]):
             self._counts.clear()  # another run
-        self._counts.append((time, samples, late))
+        self._counts.append((time, samples, *others))
         while len(self._counts) > 2 and time - self._counts[1][0] >= WINDOW:
             self._counts.popleft()
 
@@ -193,13 +193,13 @@ class Status:
         Return what is known now, for JSON; None where no robot reports.
 
         ``state`` and ``reason`` (str), ``rate`` of the samples [Hz] and ``late``, the share of
-        them without a command in time (None until they are known).
+        those that should have been without a command in time (None until they are known).
         """
         if self._heard is None or now - self._heard > SILENCE:
             return None
-        (begin, first, missed), (end, last, late) = (
-            (self._counts[0], self._counts[-1]) if self._counts else ((0.0, 0, 0),) * 2)
-        known = last > first
+        elapsed, samples, late, left_out = (
+            np.subtract(self._counts[-1], self._counts[0]).tolist() if self._counts else (0,) * 4)
+        known = samples > 0
         return {'state': self._said.get('state', ''), 'reason': self._said.get('reason', ''),
-                'rate': round((last - first) / (end - begin), 1) if known else None,
-                'late': round((late - missed) / (last - first), 5) if known else None}
+                'rate': round(samples / elapsed, 1) if known else None,
+                'late': round((late + left_out) / (samples + left_out), 5) if known else None}

@@ -26,7 +26,7 @@ export class Controls {
     place.replaceChildren(
       element('div', {class: 'said', role: 'status'}, this.state, this.reason, this.answer),
       element('div', {class: 'pace', title: 'samples of the last 3 s; late: without a command in '
-        + 'time'}, this.rate, this.late), ...groups,
+        + 'time, or left out'}, this.rate, this.late), ...groups,
       this.button('emergency_stop', 'Emergency stop', 'Emergency stop'));
     place.hidden = false;
   }
