@@ -3,11 +3,25 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Plant or bridge, controller and trajectory in one process: as three, and to the last bit."""
 
+import os
+from pathlib import Path
+import re
+
 from bridge_lab import bridge_lab, move
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import executable, TOPICS
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
-from node_harness import array_message, COMMANDS, Lab, MOTION, REFERENCE, stamp_of, STATES, TERM
+from node_harness import (
+    array_message,
+    COMMANDS,
+    JointState,
+    Lab,
+    MOTION,
+    REFERENCE,
+    stamp_of,
+    STATES,
+    TERM,
+)
 import numpy as np
 import pytest
 from test_nodes_lockstep import assert_equal
@@ -35,6 +49,39 @@ def test_lockstep_in_one_process_is_the_simulation_to_the_last_bit(tmp_path):
                          for name in ('driven', 'simulated'))
     assert len(driven.time) == 1500 and np.ptp(driven.q_link[:, 0]) > 0.3  # it moved
     assert_equal(driven, simulated)
+
+
+def test_a_recorder_interrupts_no_loop_and_wakes_it_seldom(tmp_path):
+    with Lab(tmp_path) as lab:
+        recorder = lab.run([*executable('gms_flex'), 'record', '--topics', *TOPICS, '--out',
+                            str(tmp_path / 'bag')], 'recorder')
+        loop = lab.start('loop_node', files=MOTION, trajectory__autostart=True, rate=1000.0,
+                         wait_for_subscribers=3)
+        lab.states = lab.listen(JointState, STATES)
+        lab.until(lambda: len(lab.states) > 100)
+        assert {os.sched_getscheduler(thread) for thread in (
+            recorder.process.pid, *threads(recorder, 'dds'))} == {os.SCHED_BATCH}
+        events, = threads(loop, 'dds.ev')
+        assert os.sched_getscheduler(loop.process.pid) == os.SCHED_OTHER
+        assert os.sched_getscheduler(events) == os.SCHED_BATCH
+        # of messages that have to be acknowledged; there are six to a state
+        before, first = wakes(events), stamp_of(lab.states[-1])
+        lab.more(lab.states, 1000)
+        samples = (stamp_of(lab.states[-1]) - first) / 1_000_000
+        assert wakes(events) - before < 3 * samples
+        assert recorder.signal(TERM) == loop.signal(TERM) == 0
+
+
+def threads(started, name):
+    """Return the numbers of the threads of a process whose names begin so."""
+    return [int(path.name) for path in Path(f'/proc/{started.process.pid}/task').iterdir()
+            if (path / 'comm').read_text().startswith(name)]
+
+
+def wakes(thread):
+    """Return how often a thread has slept so far."""
+    return int(re.search(r'\nvoluntary_ctxt_switches:\s+(\d+)',
+                         Path(f'/proc/{thread}/status').read_text())[1])
 
 
 @pytest.fixture(scope='module')

@@ -40,3 +40,19 @@ def test_a_slice_is_short_in_this_thread_and_in_those_it_starts_and_nowhere_else
     with ThreadPoolExecutor(1) as other:
         assert other.submit(shortened).result() == (100_000, 100_000)
     assert slice_of_this_thread() == before
+
+
+@pytest.mark.skipif(platform.system() != 'Linux', reason='policies are those of Linux')
+def test_who_interrupts_nobody_keeps_its_share_and_leaves_other_threads_alone():
+    def policy():
+        return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+    usual = policy()
+
+    def changed():
+        with scheduling.interrupting_nobody(), ThreadPoolExecutor(1) as started:
+            found = policy(), started.submit(policy).result()
+        return *found, policy()
+    with ThreadPoolExecutor(1) as other:
+        *within, after = other.submit(changed).result()
+    assert within == [(os.SCHED_BATCH, usual[1])] * 2 and after == usual
+    assert policy() == usual

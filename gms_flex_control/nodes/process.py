@@ -213,9 +213,12 @@ def _refuse(error):
 
 @contextmanager
 def hidden_node(purpose) -> Iterator:
-    """Join the ROS graph with a node that lists leave out; yield it and its executor."""
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
+    """
+    Join the ROS graph with a node that lists leave out; yield it and its executor.
+
+    It interrupts nobody.
+    """
+    with interrupting_nobody(), _initialized():
         node = rclpy.create_node(f'_gms_flex_{purpose}_{time.time_ns() % 10**9}',
                                  enable_rosout=False, start_parameter_services=False)
         executor = EventsExecutor()
@@ -225,6 +228,13 @@ def hidden_node(purpose) -> Iterator:
         finally:
             executor.shutdown()
             node.destroy_node()
+
+
+@contextmanager
+def _initialized():
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield
     finally:
         rclpy.try_shutdown()
 
@@ -333,6 +343,24 @@ def shorten_slices(time_slice=SHORT) -> None:
     wanted = _SchedAttr(size=ctypes.sizeof(_SchedAttr), policy=os.SCHED_OTHER,
                         nice=os.getpriority(os.PRIO_PROCESS, 0), runtime=time_slice)
     ctypes.CDLL(None).syscall(number, 0, ctypes.byref(wanted), 0)
+
+
+@contextmanager
+def interrupting_nobody() -> Iterator:
+    """
+    Let this thread, and those it starts, wait for a processor that is free meanwhile (Linux).
+
+    One that is woken by each message of a loop would otherwise interrupt the loop at each of them.
+    Its share of a busy machine stays as it is.
+    """
+    usual = platform.system() == 'Linux' and os.sched_getscheduler(0) == os.SCHED_OTHER
+    if usual:
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    try:
+        yield
+    finally:
+        if usual:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def tighten_timers() -> None:

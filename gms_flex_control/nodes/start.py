@@ -25,7 +25,9 @@ $(ros2 pkg prefix --share gms_flex_control)/config; every --params-file may add 
 _CLASSES = {'controller_node': 'ControllerNode', 'identification_node': 'IdentificationNode',
             'loop_node': 'LoopNode', 'plant_node': 'PlantNode',
             'trajectory_node': 'TrajectoryNode'}
-_LATER = ('trajectory_node',)  # works a whole sample ahead: the answer to the state goes first
+# one works a whole sample ahead: the answer to the state goes first; the other works through most
+# of a sample, and hands over to whoever waits where a slice is used up
+_LATER = ('trajectory_node', 'loop_node')
 
 
 def run(name) -> int:

@@ -71,6 +71,11 @@ class LiveView:
     def __enter__(self):
         """Join the ROS graph and begin to listen."""
         process.avoid_shared_memory()
+        with process.interrupting_nobody():  # and so will the threads that begin here
+            self._join()
+        return self
+
+    def _join(self):
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         name = f'_gms_flex_view_{time.time_ns() % 10**9}'
         # apart: of the first one messages are taken, only the second one is spun
@@ -83,7 +88,6 @@ class LiveView:
         self._listener = _Listener(self._node, self._space, self._controller, self._feed)
         for thread in self._threads:
             thread.start()
-        return self
 
     def __exit__(self, *_):
         """Stop the threads and leave the ROS graph."""
