@@ -93,6 +93,29 @@ def test_friction_that_grows_with_the_load_is_found_and_stands_beside_the_rest()
     assert np.std(left) < 0.1 * np.std(take.tau_motor)
 
 
+def varying(take, size, order, phase=0.0):
+    """Return a Recording whose friction varies with the angle as well, by ``size`` [N m]."""
+    q = take.q_link[:, 0]
+    further = size * np.cos(order * q + phase) * np.tanh(np.gradient(q, take.time) / 0.01)
+    return replace(take, tau_motor=take.tau_motor + further[:, None])
+
+
+@pytest.mark.parametrize('order, size', [(1, 0.01), (2, 0.007)])
+def test_friction_by_load_is_found_beside_little_that_varies_with_the_angle(order, size):
+    """Which friction that varies with the angle alone then follows a little better."""
+    take = varying(pendulum(per_load=0.15, offset=0.0, pace=0.3), size, order, 1.0)
+    fit = fit_axis(rows_of([take], held_torque(0), 0), 'swing', 'here')
+    assert fit.per_load == pytest.approx(0.15, rel=0.2)
+
+
+@pytest.mark.parametrize('phase', [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+@pytest.mark.parametrize('order', [1, 2])
+def test_friction_that_varies_with_the_angle_is_not_called_friction_by_load(order, phase):
+    take = varying(pendulum(), 0.03, order, phase)
+    fit = fit_axis(rows_of([take], held_torque(0), 0), 'swing', 'here')
+    assert fit.per_load == 0.0
+
+
 def test_no_ripple_is_made_up_where_there_is_none():
     take = pendulum()
     arm_fit = estimate_arm([take], rigid_joints(take.joints))

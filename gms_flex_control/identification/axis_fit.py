@@ -46,7 +46,7 @@ _SLOWEST = 0.05    # of the usual speed: below this a row does not count as movi
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there
-_WORTH = 0.97      # of the held-out error: gravity or a ripple that helps less is not there
+_WORTH = 0.97      # of the held-out error, or of what another explains: helps less, is not there
 _CONSTANT = 1e-6   # of a torque: rounding
 _LOPSIDED = 0.5    # of the friction the other way: below this there is a constant torque
 _LEAST = 0.02      # of the torque: friction to begin with, and friction by load, at least
@@ -240,8 +240,9 @@ def _with_load(columns, rows, off):
     Return the columns and their held-out error, with that of friction by load if it is there.
 
     What is carried is the torque that the columns explain, not the measured one, whose noise
-    would explain itself. Friction that varies with the angle must predict worse: under gravity
-    both change together.
+    would explain itself. Friction that varies with the angle must not explain clearly more of the
+    variance: under gravity both change together, and its four numbers follow whatever else there
+    is.
     """
     carried, count = columns @ solution(columns, rows.torque, rows.block)[0], columns.shape[1]
     for _ in range(_LOADINGS):
@@ -255,7 +256,9 @@ def _with_load(columns, rows, off):
         wave(order * rows.angle) for order in _PLACES for wave in (np.cos, np.sin)])
     rival = held_out_error(np.column_stack([columns, placed.T]), rows.torque,
                            rows.block)
-    return (grown, with_load) if with_load < min(_WORTH * off, rival) else (columns, off)
+    explained, rivals = (off ** 2 - one ** 2 for one in (with_load, rival))
+    is_there = with_load < _WORTH * off and explained > _WORTH * rivals
+    return (grown, with_load) if is_there else (columns, off)
 
 
 def _levels(friction, rate):
