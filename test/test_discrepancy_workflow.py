@@ -225,7 +225,7 @@ def test_torque_constant_and_inertia_are_told_by_the_spring():
 def test_what_makes_a_model_worse_is_named_and_not_added(named, monkeypatch):
     """It is named all the same, in the words and in the answer: something is missing."""
     monkeypatch.setattr(workflow, '_written',
-                        lambda likelihood, found, *_: found.before)
+                        lambda likelihood, found, *_: (found.before, found.before))
     case, before = named
     result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
     assert result.searched.tried == before.searched.tried  # the same seed, the same numbers
@@ -250,6 +250,8 @@ def test_no_model_is_written_that_predicts_worse_than_the_one_given():
     assert [one.effect for one in result.minor] == ['motor_viscous'] and not result.findings
     assert result.robot.effects == ()
     assert np.linalg.norm(result.gap.after) <= np.linalg.norm(result.gap.before)
+    for without, found in (('retuned', 'after'), ('free_before', 'free_after')):
+        np.testing.assert_array_equal(getattr(result.gap, without), getattr(result.gap, found))
 
 
 @pytest.mark.parametrize(('angle', 'stiffness', 'fitted'), [(-0.58, 8.0, 1), (-0.63, 10.0, 2)])

@@ -100,7 +100,7 @@ def _learned(result, holdout, say):
     """Return `learn` of a result in which something is unexplained."""
     likelihood = result.behind.likelihood
     # of known parameters a little off, which a term may stand for
-    alone = replace(result.gap, after=result.gap.retuned, free_after=result.gap.free_before)
+    alone = result.behind.retuned_alone
     say('learning a term for what is unexplained')
     for learning, begin in _begun(result, holdout, say):
         state, terms, gap, drift = learning.run(learning.state(begin))

@@ -72,7 +72,7 @@ class Gap:
 
     joints: tuple             # of str
     before: np.ndarray        # of the model as given
-    retuned: np.ndarray       # with known parameters re-tuned
+    retuned: np.ndarray       # without effects, known parameters re-tuned as in `after`
     after: np.ndarray         # with the effects found
     floor: np.ndarray         # of a null simulation; NaN where that runs away
     rest_before: np.ndarray   # re-tuned
@@ -147,6 +147,7 @@ class Behind(NamedTuple):
     before: object      # Fitted: known parameters re-tuned
     after: object       # Fitted: with all effects found
     written: object     # Fitted: the model as returned
+    retuned_alone: Gap  # after known parameters are re-tuned and nothing else
 
 
 class Searched(NamedTuple):

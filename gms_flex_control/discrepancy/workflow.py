@@ -145,19 +145,24 @@ def _compared(motions, holdout, robot, options, say):
         found = _named_alone(likelihood, found, {one.key for one in findings})
     more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
     whole = whole if left else found
-    after = _written(likelihood, found, whole, held_out, [
+    after, alone = _written(likelihood, found, whole, held_out, [
         searched.best, predicting_subset(likelihood, whole, held_out)] if more else [],
         {one.key: one.main for one in findings})
+    retuned_alone = replace(gap, after=gap.retuned, free_after=gap.free_before)
     if after is not all_found:
-        gap = held_out.gap(found.before, after)
-    result = _result(likelihood, found, searched, after, findings, left, gap)
+        gap = held_out.gap(alone, after)
+    result = _result(likelihood, found, searched, after, findings, left, gap, retuned_alone)
     words, details = describe.paragraph(result, sorted(likelihood.unseen),
                                         _known_off(found, robot))
     return replace(result, words=words, details=details)
 
 
-def _result(likelihood, found, searched, after, findings, left, gap):
-    """Return the Discrepancy, without words, of a search and its end; ``after`` is written."""
+def _result(likelihood, found, searched, after, findings, left, gap, retuned_alone):
+    """
+    Return the Discrepancy, without words, of a search and its end; ``after`` is written.
+
+    ``retuned_alone`` is the Gap after known parameters are re-tuned and nothing else.
+    """
     known, joints = likelihood.known, likelihood.robot.joints
     changes = list(zip(likelihood.nuisances, after.model.x.tolist(), strict=True))
     added, named = after.key(known), {one.key for one in findings}
@@ -179,7 +184,8 @@ def _result(likelihood, found, searched, after, findings, left, gap):
             differences=tuple(one.words(joints, value) for one, value in changes
                               if isinstance(one, OfRecording) and one.is_reported(value)),
             noise=() if left else noise_of(likelihood, found.best.model)),
-        behind=Behind(likelihood, found.before.model, found.best.model, after.model),
+        behind=Behind(likelihood, found.before.model, found.best.model, after.model,
+                      retuned_alone),
         robot=with_nuisances(after.model.robot, likelihood.nuisances, after.model.x))
 
 
@@ -300,11 +306,12 @@ def _named_alone(likelihood, found, named):
 
 def _written(likelihood, found, larger, held_out, further, named):
     """
-    Return the State that predicts torque and free runs best on held-out data.
+    Return the State that predicts torque and free runs best on held-out data, and one without.
 
-    That with the effects found, if they are ``named`` (dict of key to whether it is main) or
-    explain more than they leave, unless another is clearly better: with fewer, with such as only
-    resemble what is missing (``larger``, a Found), or ``further`` States. Known parameters are
+    The second has no effects, and its known parameters are re-tuned as far, or as given. The
+    first is that with the effects found, if they are ``named`` (dict of key to whether it is
+    main) or explain more than they leave, unless another is clearly better: with fewer, with such
+    as only resemble what is missing (``larger``, a Found), or ``further`` States. Parameters are
     re-tuned, or if that may not be written as given (all, or all but those of the joints with
     effects that are ``named``). None is written that predicts torque, the drive's torque or free
     runs worse than the model as given, which may have been fitted to the blocks left out, or
@@ -332,16 +339,17 @@ def _written(likelihood, found, larger, held_out, further, named):
     others = [one for one in (
         found.before, larger.best, *(best[size] for size in sorted(best)[:_SIZES]), *further)
         if is_written(one)]
-    wholes = [found.best] if is_written(found.best) else []
+    wholes = [(found.best, found.before)] if is_written(found.best) else []
     if found.best.key(known) and not wholes:
         of_named = {joint for _, joint in named if joint in likelihood.robot.joints}
         for but in ((), of_named):
             one, alone = (as_given(likelihood, state, found.nuisances, but)
                           for state in (found.best, found.before))
-            wholes += [one] if is_written(one, alone) else []
+            wholes += [(one, alone)] if is_written(one, alone) else []
     other = min((given, *others), key=held_out.energy)
-    whole = min(wholes, key=held_out.energy, default=other)
-    return whole if CLEARLY * held_out.energy(other) >= held_out.energy(whole) else other
+    other = other, found.before if other.key(known) else other
+    whole = min(wholes, key=lambda pair: held_out.energy(pair[0]), default=other)
+    return whole if CLEARLY * held_out.energy(other[0]) >= held_out.energy(whole[0]) else other
 
 
 def _may_stand_in(likelihood, held_out, state, before, named):
