@@ -7,11 +7,12 @@ from dataclasses import replace
 import json
 import re
 
+from gms_flex_control.answer import align
 from gms_flex_control.cli.main import main
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import GmsFlexError, ParameterError
 from gms_flex_control.identification.output import report_json
-from gms_flex_control.params.arm import ArmParams, in_units
+from gms_flex_control.params.arm import ArmParams, in_currents, in_units
 from gms_flex_control.params.robot import EncoderParams, FrictionParams, StribeckParams
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.figure_style import save_figure
@@ -164,3 +165,14 @@ def test_the_tool_states_them(robot, tmp_path, capsys):
     assert 'MSE per link [m^2]' in capsys.readouterr().out
     assert main(['export', '--to', 'csv', '--robot', path]) == 0
     assert ROTARY.findall(capsys.readouterr().out) == []
+
+
+def test_a_table_keeps_its_columns_in_other_units():
+    """Units are longer or shorter, and numbers stand in one column all the same."""
+    rows = [['coulomb', unit, value, 'note'] for unit, value in (
+        ('N m', '(1.7)'), ('N m s/rad', '0.25'), ('kg m^2', '12'), ('rad/s', '3'))]
+    table = align(['', 'unit', 'value', ''], rows)
+    ends = {line.index('note') for text in (table, in_currents(table))
+            for line in text.splitlines()[2:]}
+    assert len(ends) == 1
+    assert in_currents('3 N m, or 5 mN m of friction') == '3 A, or 5 mA of friction'

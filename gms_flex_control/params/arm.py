@@ -5,7 +5,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 import re
 from typing import NamedTuple
 import warnings
@@ -260,12 +260,23 @@ def in_units(arm: ArmParams, text: str) -> str:
     """Return a text that is written for rotary axes, its units those of an arm."""
     if arm.axes == 'rotary':
         return text
-    return reduce(lambda written, unit: re.sub(*unit, written), _OF_LINEAR, text)
+    return _with_units(_OF_LINEAR, text)
 
 
 def in_currents(text: str) -> str:
     """Return a text of torques or forces with the units of currents in their place."""
-    return reduce(lambda written, unit: re.sub(*unit, written), _OF_CURRENT, text)
+    return _with_units(_OF_CURRENT, text)
+
+
+def _with_units(units, text):
+    """Return a text with some patterns replaced; the next column of a table stays in its place."""
+    def placed(match, unit):
+        cell = re.sub(*unit, match[0])
+        return f'{cell.rstrip():{len(match[0]) - 2}}  ' if match['gap'] else cell
+
+    return reduce(lambda written, one: re.sub(
+        f'(?:{one[0]})(?:(?:[^ \\n]| (?! ))*(?P<gap>  +))?', partial(placed, unit=one), written),
+        units, text)
 
 
 class Body(NamedTuple):
