@@ -37,6 +37,17 @@ def test_inertia_gravity_and_a_constant_torque_are_those_a_pendulum_was_made_wit
         assert fit.offset == pytest.approx(-1.2, abs=0.02)
 
 
+def test_a_bent_torque_is_no_gravity_that_a_constant_torque_takes_away():
+    """As of a cable: a parabola of the angle is gravity but for its mean, which is not there."""
+    take = pendulum(pull=0.0)
+    angle = 0.5 * take.q_link
+    take = replace(take, q_link=angle, tau_motor=take.tau_motor + 0.015 * angle ** 2)
+    fit = fit_axis(rows_of([take], held_torque(0), 0), 'swing', 'here')
+    assert (fit.has_gravity, fit.constant) == (False, 0.0)
+    assert fit.inertia == pytest.approx(0.04, rel=0.05)
+    assert fit.friction == pytest.approx(0.08, rel=0.2)  # viscous part included
+
+
 def test_a_linear_axis_has_no_gravity_that_turns_with_its_position():
     take = pendulum()
     robot = rigid_joints(take.joints)

@@ -45,7 +45,7 @@ _FEWEST = 60       # moving rows
 _SLOWEST = 0.05    # of the usual speed: below this a row does not count as moving
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
-_CLEAR = 0.5       # of the held-out error: gravity must help this much there
+_CLEAR = 0.5       # of the held-out error: gravity must help this much there, or if cancelled
 _WORTH = 0.97      # of the held-out error, or of what another explains: helps less, is not there
 _CONSTANT = 1e-6   # of a torque: rounding
 _LOPSIDED = 0.5    # of the friction the other way: below this there is a constant torque
@@ -199,9 +199,10 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     others = np.concatenate([rows.acceleration[:, None], friction_regressors(rows.rate),
                              wave[moving]], axis=1)
     both = np.concatenate([rows.acceleration[:, None], gravity, others[:, 1:]], axis=1)
-    enough = _WORTH if np.ptp(rows.angle) > _NARROW else _CLEAR
     with_gravity, off = (held_out_error(one, rows.torque, rows.block) for one in (both, others))
-    has_gravity = turns and with_gravity < enough * off
+    has_gravity = turns and with_gravity < off * (
+        _WORTH if np.ptp(rows.angle) > _NARROW and not _is_cancelled(both, others, rows)
+        else _CLEAR)
     columns, off = (both, with_gravity) if has_gravity else (others, off)
     plain = columns.shape[1]
     if has_gravity:
@@ -233,6 +234,21 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
                    float(values[0] * np.std(rows.acceleration) / (np.std(rows.torque) or 1.0)),
                    left, rippling, values[wave], float(np.sqrt(np.sum(error[wave] ** 2))), off,
                    float(values[plain:].sum()))
+
+
+def _is_cancelled(both, others, rows):
+    """
+    Return whether friction is lopsided with gravity (columns ``both``) and is not without.
+
+    A constant torque then takes away most of it: gravity bends the least where it is largest.
+    """
+    lopsided = []
+    for columns, count in ((others, 1), (both, 3)):
+        values = solution(columns, rows.torque, rows.block)[0]
+        friction = slice(count, count + friction_regressors(rows.rate[:1]).shape[1])
+        levels = _levels(columns[:, friction] @ values[friction], rows.rate)
+        lopsided.append(min(levels) < _LOPSIDED * max(levels))
+    return lopsided[1] and not lopsided[0]
 
 
 def _with_load(columns, rows, off):
