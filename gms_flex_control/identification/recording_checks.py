@@ -133,10 +133,12 @@ def _directions(signals, robot, motion):
         elif balance < 0:
             also = ', and its motor and link are exchanged' if spring > 0 else ''
             gravity = ', or the gravity of the robot file' if robot.arm.gravity.any() else ''
+            braked = ('. A joint that others move while its drive brakes looks alike: then go on '
+                      'with --force' if robot.n_joints > 1 else '')
             found.append(Finding(
                 'torque_sign', name, 'refuse', f'{signals.source}: the torque of {name} has the '
                 'wrong sign: only reversed does it accelerate the joint and overcome '
-                f'friction{also}; reverse it, or the angles{gravity}'))
+                f'friction{also}; reverse it, or the angles{gravity}{braked}'))
     return found
 
 
