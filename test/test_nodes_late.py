@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A loop that does not keep up says so while it runs, and its stamps stay near the clock."""
+"""A late loop says so, its stamps stay near the clock; who comes later finds it at once."""
 
 import signal
 import sys
@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 from gms_flex_control.nodes import pacing
 from gms_flex_control.nodes.topics import Direct
-from node_harness import array_message, Lab, stamp_of
+from node_harness import array_message, DISCOVERY, Lab, MOTION, rclpy, stamp_of
 import numpy as np
 import pytest
 
@@ -112,3 +112,32 @@ def test_diagnostics_have_the_time_of_the_system_while_there_is_no_clock(tmp_pat
         lab.start('trajectory_node', use_sim_time=True)
         lab.until(lambda: reports)
         assert abs(time.time() - reports[0].header.stamp.sec) < 3600.0
+
+
+def test_a_process_that_comes_later_finds_the_nodes_at_once(tmp_path, monkeypatch):
+    """By default Fast DDS announces a node every 3 s: who misses an answer waits so long."""
+    with Lab(tmp_path) as lab:
+        lab.environment[DISCOVERY] = 'SUBNET'
+        monkeypatch.setenv(DISCOVERY, 'SUBNET')
+        states = lab.hear('states')
+        for name in ('controller_node', 'trajectory_node', 'plant_node'):
+            lab.start(name, files=MOTION)
+        lab.until(lambda: states)
+        searched = [seconds_until_found({'cascade_controller', 'trajectory', 'plant'}, lab.domain)
+                    for _ in range(4)]
+        assert max(searched) < 2.0, searched
+
+
+def seconds_until_found(names, domain):
+    """Return how long a new participant takes to see nodes (set of str)."""
+    context, begun = rclpy.Context(), time.monotonic()
+    rclpy.init(context=context, domain_id=domain,
+               signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    node = rclpy.create_node('late', context=context)
+    try:
+        while not names <= set(node.get_node_names()) and time.monotonic() < begun + 10.0:
+            time.sleep(0.01)
+        return time.monotonic() - begun
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)

@@ -1,13 +1,15 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""One hidden effect is named first, with its values; the bench of hidden robots asks for all."""
+"""Hidden effects are named first, with their values; nothing is learned where none is there."""
 
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
-from gms_flex_control.discrepancy.result import COMPLETE, FOUND
+from gms_flex_control.discrepancy.learning import learn
+from gms_flex_control.discrepancy.result import COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.reports.answers import discrepancy_answer
 import numpy as np
 import pytest
 
@@ -32,3 +34,34 @@ def test_a_clean_robot_whose_links_are_not_seen_is_complete():
     blind = replace(case.recording, q_link=unknown, dq_link=unknown)
     result = find_discrepancy([blind], case.nominal, Options(most=1))
     assert result.verdict == COMPLETE, result.words
+
+
+@pytest.mark.parametrize(('seed', 'effect'), [(86, 'input_delay'), (85, 'actuator_lag')])
+def test_a_delay_and_a_lag_are_told_apart_in_a_closed_loop(seed, effect):
+    """By residuals below 20 Hz, the delay of the first would be a lag of the same time."""
+    case = make_case('single', seed, duration=25.0)
+    hidden, = case.truth.effects
+    assert hidden.name == effect and hidden.values[0] < 8e-3
+    result = find_discrepancy([case.recording], case.nominal, Options(most=2))
+    first = result.findings[0]
+    assert (first.effect, first.joint) == (effect, hidden.joint)
+    assert next(iter(first.parameters.values())) == pytest.approx(hidden.values[0], rel=0.05)
+
+
+def test_a_term_for_parameters_believed_a_little_wrong_is_none():
+    """As believed, a spring 3 % off lacks a torque over torsion; re-tuned, the robot does not."""
+    case = make_case('clean', 206, duration=20.0)
+    found = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    result = learn(replace(found, verdict=UNEXPLAINED), holdout=[case.held_out])
+    assert result.learned == () and result.robot is found.robot
+
+
+def test_a_clean_robot_gets_no_term_even_if_asked_for():
+    case = make_case('clean', 1, duration=12.0)
+    found = find_discrepancy([case.recording], case.nominal, Options(most=1))
+    assert learn(found) is found
+    asked = replace(found, verdict=UNEXPLAINED)  # as where a finding could not be added
+    assert '--learn' in discrepancy_answer(asked, 'gap').command
+    result = learn(asked)
+    assert result.learned == () and result.robot is found.robot
+    assert 'No learned term predicts' in result.words
