@@ -225,8 +225,10 @@ def record(out, topics=None, *, duration=None, say=print) -> dict:
 def _spin(recorder, executor, is_over):
     while rclpy.ok() and not is_over():
         recorder.poll()
-        # as Spinner.spin_for: back in Python for each message it takes half as long again
-        executor.spin_until_future_complete(Future(), timeout_sec=_LOOK_PERIOD)
+        if recorder.missing:  # subscribe as soon as it is there
+            executor.spin_once(timeout_sec=_LOOK_PERIOD)
+        else:  # back in Python after each message it takes twice as long, see Spinner.spin_for
+            executor.spin_until_future_complete(Future(), timeout_sec=_LOOK_PERIOD)
     if rclpy.ok():
         executor.spin_until_future_complete(Future(), timeout_sec=_GRACE_PERIOD)
 
