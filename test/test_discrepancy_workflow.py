@@ -182,6 +182,13 @@ def test_one_joint_is_named_where_another_is_unexplained(tmp_path):
     assert said in result.words and said in discrepancy_answer(result, tmp_path).sentence
     before, after, floor = result.gap.retuned, result.gap.after, result.gap.floor
     assert after[1] < 2.0 * floor[1] and after[0] > 0.9 * before[0]
+    own = result.gap.of_joints(['joint2'])  # a joint that remains does not hide how well it is
+    left = max(after[1] ** 2 - floor[1] ** 2, 0.0)  # above its noise
+    share = 1.0 - left / (before[1] ** 2 - floor[1] ** 2)
+    assert own.energy_ratio == pytest.approx(1.0 - share) and own.after == after[1]
+    assert f'explains {100.0 * share:.0f} % of what is missing in joint2' in result.words
+    shrinks = f'the residual torque shrinks by {100.0 * (1.0 - after[1] / before[1]):.0f} %'
+    assert shrinks in discrepancy_answer(result, tmp_path).sentence
 
 
 def test_a_torque_of_another_joint_is_unexplained_and_says_so():

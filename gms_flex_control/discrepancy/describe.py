@@ -188,10 +188,12 @@ def _remainder(result):
     """Yield how much is explained, and what remains: sentence, whether a detail."""
     gap, left = result.gap, result.unexplained
     if result.verdict == FOUND and left is not None and left.share > _REMAINS:
-        share, sure = min(gap.energy_ratio, 1.0), min(one.probability for one in result.added)
+        own = gap.of_joints({one.joint for one in result.added}) if left.joints else gap
+        share, sure = min(own.energy_ratio, 1.0), min(one.probability for one in result.added)
+        where = f' in {" and ".join(own.joints)}' if own is not gap else ''
         rest = '.' if left.joints else (
             f'; {100.0 * share:.0f} % remains unexplained: {left.sentence}')
-        yield (f'That explains {100.0 * (1.0 - share):.0f} % of what is missing '
+        yield (f'That explains {100.0 * (1.0 - share):.0f} % of what is missing{where} '
                f'({sure:.2f} sure){rest}', True)
     unexplained = of_unexplained(left)
     if result.verdict == FOUND and unexplained:

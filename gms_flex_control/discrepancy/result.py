@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What a comparison of a model with recordings ended with, as plain values."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple, Self
 
 from gms_flex_control.effects.registry import find
@@ -82,6 +82,19 @@ class Gap:
     free_floor: np.ndarray
     energy_ratio: float       # squared residual above the floor, after over re-tuned, all joints
     closed_loop: object = None  # ClosedLoop, where it was asked for
+
+    def of_joints(self, names) -> 'Gap':
+        """Return the Gap of some joints, of all where others are named, as the arm is."""
+        at = np.isin(self.joints, list(names))
+        if not set(names).issubset(self.joints) or not at.any():
+            return self
+        part = replace(self, joints=tuple(np.array(self.joints)[at].tolist()), **{
+            field.name: getattr(self, field.name)[at] for field in fields(self)
+            if isinstance(getattr(self, field.name), np.ndarray)})
+        noise = np.nan_to_num(part.floor) ** 2
+        above = [float(np.sum(np.maximum(one ** 2 - noise, 0.0)))
+                 for one in (part.retuned, part.after)]
+        return replace(part, energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0)
 
 
 class Noise(NamedTuple):

@@ -213,7 +213,7 @@ def _lacking(result):
         f'{one.effect} of {one.joint} ({value_words(one)}'
         + (f'; indistinguishable here from {of_joints(one.indistinguishable_from)})'
            if one.indistinguishable_from else ')') for one in result.added)
-    gap = result.gap
+    gap = result.gap.of_joints({one.joint for one in result.added})
     changes = [_change(*figures) for figures in (
         ('the residual torque', gap.retuned, gap.after, gap.floor),
         ('the error of free runs', gap.free_before, gap.free_after, gap.free_floor))
