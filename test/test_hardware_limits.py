@@ -105,8 +105,8 @@ def test_an_angle_that_no_joint_could_reach_in_the_time_is_a_jump():
 @pytest.mark.parametrize('changed, words', [
     ({'torque': [1.0, -1.0]}, 'torque must be at least 0'),
     ({'lower': [1.0, 0.0], 'upper': [-1.0, 1.0]}, 'were they swapped'),
-    ({'upper': [np.nan, 1.0]}, 'upper must be one finite number per joint'),
-    ({'torsion': [1.0]}, 'torsion must be one finite number per joint')])
+    ({'upper': [np.nan, 1.0]}, 'upper must be finite'),
+    ({'torsion': [1.0]}, 'torsion must have shape')])
 def test_limits_that_make_no_sense_are_refused(changed, words):
     with pytest.raises(ParameterError, match=words):
         limits(**changed)

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The verbs on gains: `tune` proposes them, `check-gains` judges them."""
+"""The verbs on gains: `tune` proposes them, `check-gains` judges them, `compare` their modes."""
 
 from dataclasses import asdict
 from functools import partial
@@ -10,13 +10,15 @@ from pathlib import Path
 
 from gms_flex_control import __version__, results
 from gms_flex_control.batches import run_batch
+from gms_flex_control.cli.robots import controller_of
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
+from gms_flex_control.comparison import study
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.file_io import as_json, controller_file, robot_file, write_json
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.reports import tuning_page
+from gms_flex_control.reports import comparison_page, tuning_page
 from gms_flex_control.reports.figure_style import save_figure
 from gms_flex_control.schema.build import controller_values
 from gms_flex_control.schema.files import load_controller, load_robot, save_values
@@ -133,3 +135,27 @@ def _gains_values(report):
             'mass_eigenvalues': report.mass_range, 'n1_eigenvalues': report.energy_range,
             'disturbance_bound': report.disturbance,
             'residual_bound': report.residual if math.isfinite(report.residual) else None}
+
+
+def compare(args) -> int:
+    """Compare, write and print; return 0."""
+    refuse_unwritable(args.out)
+    robot = load_robot(args.robot or robot_file())
+    gains = load_controller(controller_of(args, robot.joints), robot)
+    setting = study.Setting(robot, gains, np.full(robot.n_joints, args.amplitude), args.rate,
+                            args.draws, args.seed)
+    outcomes = run_batch(study.try_cell, study.cells(setting), args.workers, 'cells')
+    rows = study.table(outcomes, setting)
+    values = {'rate': args.rate, 'amplitude': args.amplitude, 'draws': args.draws,
+              'seed': args.seed, 'rows': [row._asdict() for row in rows], 'cells': outcomes}
+    page, numbers = Path(args.out) / 'report.html', Path(args.out) / 'comparison.json'
+    write_json(numbers, values)
+    comparison_page.plant_page(rows, outcomes, setting, args.robot).write(page)
+    if args.json:
+        print(as_json(values))
+        return 0
+    words = partial(in_units, robot.arm)
+    print(words(comparison_page.plant_text(rows)))
+    conclude(comparison_page.plant_answer(rows, outcomes, args.robot),
+             {'report': page, 'numbers': numbers}, words)
+    return 0

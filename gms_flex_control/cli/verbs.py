@@ -301,7 +301,7 @@ _TUNE = Verb(
      'tune --robot robot.yaml results/friction.yaml --torque-limit 2 --delay 1 --verify 200 '
      '--out tuned'))
 _COMPARE = Verb(
-    'compare', 'compare.compare_verb', 'friction compensations side by side',
+    'compare', 'tune.compare', 'friction compensations side by side',
     'Compare eight ways to compensate friction: none, static Stribeck, LuGre, four kinds of GMS '
     '(of the paper, improved, of the desired motion, adaptive) and a disturbance observer. Each '
     'drives the plant in simulation, also with friction, K and M that differ from the belief, '

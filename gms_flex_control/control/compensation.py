@@ -138,7 +138,7 @@ def _gms_adaptive(state, measured, dt, constants, work):
         total = friction.viscous[row, j] * measured.dq_link[j]
         for i in range(n_blocks):
             step = dt * gain * blocks.torque[j, i] * work.scratch[j]
-            factor[j, i] = limited(factor[j, i] - step, LEAST_FACTOR, LARGEST_FACTOR)
+            factor[j, i] = min(max(factor[j, i] - step, LEAST_FACTOR), LARGEST_FACTOR)
             total += factor[j, i] * blocks.torque[j, i]
         work.estimate[0, j] = total
 
@@ -254,9 +254,3 @@ def _level_at(j, velocity, friction):
     row = gms.FORWARD if velocity >= 0.0 else gms.BACKWARD
     level, _ = gms.level_of(j, 1.0 if velocity >= 0.0 else -1.0, velocity, friction)
     return level, row
-
-
-@compiled
-def limited(value, low, high) -> float:
-    """Return ``value`` within ``low`` and ``high``."""
-    return np.minimum(np.maximum(value, low), high)

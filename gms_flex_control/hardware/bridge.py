@@ -142,7 +142,7 @@ class Bridge:
         names, robot = list(self.params.joint_map.names), RobotSide(self.params)
         robot.merger.take(0, names, [0.0] * len(names), (), (), 1, 1)
         robot.take(self.params.joint_map, robot.applied, 1)
-        limiting.is_sound(robot.rows, robot.rows, 0.0, self.params.limits)
+        limiting.is_within(robot.rows, robot.rows, 0.0, *self.params.limits.within)
         limiting.limited(robot.applied, robot.applied, 0.0, *robot.rows[:2], self.params.limits)
 
     @property
@@ -162,7 +162,7 @@ class Bridge:
         elapsed = robot.take(joint_map, self.torque, now)
         self._note_late(elapsed)
         robot.violation = ''
-        if not limiting.is_sound(robot.rows, before, elapsed, self.params.limits):
+        if not limiting.is_within(robot.rows, before, elapsed, *self.params.limits.within):
             self._judge(before, elapsed)
         robot.publish(now)
         self.counters[BRIDGED[0]] += 1

@@ -3,12 +3,12 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What a robot may do, whatever the controller says: torque, rate, velocity, range, torsion."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.key import freeze_arrays
+from gms_flex_control.params.key import freeze_arrays, number, require_ranges, SMALLEST
 import numpy as np
 
 UNLIMITED = 1e9           # of a limit that nobody gave
@@ -21,27 +21,29 @@ class Limits:
     """
     Limits of each joint, arrays (n_joints,); `UNLIMITED` where there is none.
 
-    Raises ParameterError if a limit is negative or not finite, or the range of a joint is empty.
+    Raises ParameterError if a limit is out of range or not finite, or the range of a joint empty.
     """
 
-    torque: np.ndarray           # largest [N m]
-    torque_rate: np.ndarray      # fastest rise of its magnitude; it may fall at once [N m/s]
-    velocity: np.ndarray         # from which on no torque may add to it [rad/s]
-    velocity_margin: np.ndarray  # beyond the velocity by so much is a fault [rad/s]
-    lower: np.ndarray            # range of the link; outside of it only inward torque [rad]
-    upper: np.ndarray
-    position_margin: np.ndarray  # beyond the range by so much is a fault [rad]
-    torsion: np.ndarray          # motor angle minus link angle that is a fault [rad]
+    torque: np.ndarray = number('largest torque given to the robot', 'N m', UNLIMITED, 0.0,
+                                UNLIMITED)
+    torque_rate: np.ndarray = number('fastest rise of the torque; it may fall at once', 'N m/s',
+                                     UNLIMITED, SMALLEST, UNLIMITED)
+    velocity: np.ndarray = number('speed from which on no torque adds to it', 'rad/s', UNLIMITED,
+                                  SMALLEST, UNLIMITED)
+    velocity_margin: np.ndarray = number('beyond that by so much: FAULT', 'rad/s', 0.5, 0.0,
+                                         UNLIMITED)
+    lower: np.ndarray = number('least angle; beyond it only inward torque', 'rad', -UNLIMITED,
+                               -UNLIMITED, UNLIMITED)
+    upper: np.ndarray = number('largest angle; beyond it only inward torque', 'rad', UNLIMITED,
+                               -UNLIMITED, UNLIMITED)
+    position_margin: np.ndarray = number('beyond the range by so much: FAULT', 'rad', 0.1, 0.0,
+                                         UNLIMITED)
+    torsion: np.ndarray = number('motor minus link angle that is a FAULT', 'rad', UNLIMITED,
+                                 SMALLEST, UNLIMITED)
 
     def __post_init__(self):
         freeze_arrays(self)
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value.shape != self.torque.shape or not np.isfinite(value).all():
-                raise ParameterError(f'limits: {field.name} must be one finite number per joint, '
-                                     f'got {value}')
-            if field.name not in ('lower', 'upper') and (value < 0.0).any():
-                raise ParameterError(f'limits: {field.name} must be at least 0, got {value}')
+        require_ranges(self, self.torque.shape, 'limits: ')
         if not (self.lower < self.upper).all():
             raise ParameterError(f'limits: lower {self.lower} must be below upper {self.upper}; '
                                  'were they swapped?')
@@ -94,18 +96,14 @@ def limit(command, before, elapsed, q, dq, most, rate, velocity, lower, upper, t
         torque[j] = given
 
 
-def is_sound(now, before, elapsed, limits) -> bool:
+@compiled
+def is_within(now, before, elapsed, least, most, fastest, torsion) -> bool:
     """
     Return whether `violation` and `jump` find nothing; fast, on the way of every command.
 
-    ``now`` and ``before`` (4, n_joints) are q_link, dq_link, q_motor, dq_motor.
+    ``now`` and ``before`` (4, n_joints) are q_link, dq_link, q_motor, dq_motor; what follows
+    ``elapsed`` is `Limits.within`.
     """
-    return is_within(now, before, elapsed, *limits.within)
-
-
-@compiled
-def is_within(now, before, elapsed, least, most, fastest, torsion) -> bool:
-    """Return whether a state is sound, see `is_sound`."""
     for j in range(now.shape[1]):
         far = fastest[j] * max(elapsed, _SHORTEST)
         if not (least[j] <= now[0, j] <= most[j] and abs(now[2, j] - now[0, j]) <= torsion[j]

@@ -8,6 +8,7 @@ import math
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.errors import GmsFlexError, ParameterError
+from gms_flex_control.params.key import number, SMALLEST
 import numpy as np
 
 NANOSECONDS = 1_000_000_000
@@ -30,9 +31,11 @@ class Reading:
     """One encoder: angle of the joint = sign * reading / ratio + offset."""
 
     name: str             # in the robot's joint states
-    sign: float = 1.0     # 1 if the reading grows with the joint angle, -1 if it falls
-    ratio: float = 1.0    # turns of the encoder per turn of the joint; 1 if divided already
-    offset: float = 0.0   # joint angle where the encoder reads 0 [rad]
+    sign: float = number('1, or -1 if the reading falls when the joint turns forward', '', 1.0,
+                         -1.0, 1.0, default=1.0)
+    ratio: float = number('turns of this encoder per turn of the joint', '', 1.0, SMALLEST, 1e6,
+                          default=1.0)  # 1 if divided already
+    offset: float = number('joint angle where it reads 0', 'rad', 0.0, default=0.0)
 
     def __post_init__(self):
         if self.sign not in (-1.0, 1.0):

@@ -71,7 +71,7 @@ def robot_from_values(values: dict) -> RobotParams:
     _require_links(flat['arm.kind'], joints, values)
     motors = flat['motors'] or ('',) * len(joints)
     arm = ArmParams(kind=flat['arm.kind'], axes=flat['arm.axes'],
-                    **_columns(ArmParams, flat, 'arm', joints) | _links(flat, joints))
+                    **columns(ArmParams, flat, 'arm', joints) | _links(flat, joints))
     encoder = EncoderParams(**{key.name: flat[f'encoder.{key.name}']
                                for key in keys_of(EncoderParams)})
     effects = _effects({name: checked(known[name], value) for name, value in values.items()
@@ -91,14 +91,14 @@ def robot_to_identify(values: dict) -> RobotParams:
                                        for name, value in _PLACEHOLDER.items()})
 
 
-def _columns(params, flat, prefix, joints):
+def columns(params, flat, prefix, joints) -> dict:
     """Return the fields of a class of parameters, each a list over joints (dict)."""
     return {key.name: [flat[f'{prefix}.{joint}.{key.name}'] for joint in joints]
             for key in keys_of(params)}
 
 
 def _row(params, prefix, j):
-    """Return the fields of joint ``j`` as flat parameters, the inverse of `_columns`."""
+    """Return the fields of joint ``j`` as flat parameters, the inverse of `columns`."""
     return {f'{prefix}.{key.name}': np.asarray(getattr(params, key.name)[j]).tolist()
             for key in keys_of(type(params))}
 
@@ -195,7 +195,7 @@ def _steady(flat, joints, direction):
 def _friction(flat, joints):
     directions = {direction: _steady(flat, joints, direction)
                   for direction in ('forward', 'backward')}
-    blocks = _columns(FrictionParams, flat, 'friction', joints)
+    blocks = columns(FrictionParams, flat, 'friction', joints)
     attraction = blocks.pop('attraction')
     for joint, stiffness, weight in zip(joints, *blocks.values(), strict=True):
         if len(stiffness) != len(weight) or not stiffness:
@@ -225,7 +225,7 @@ def controller_from_values(values: dict, joints) -> ControllerParams:
     flat = complete(controller_keys(joints), values)
     with _about(f"gains of {', '.join(joints)}"):
         return ControllerParams(compensation=flat['compensation'],
-                                **_columns(ControllerParams, flat, 'gains', joints))
+                                **columns(ControllerParams, flat, 'gains', joints))
 
 
 def controller_values(gains: ControllerParams, joints) -> dict:

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
-from gms_flex_control.hardware.limits import UNLIMITED
+from gms_flex_control.hardware.limits import Limits, UNLIMITED
+from gms_flex_control.hardware.mapping import Reading
 from gms_flex_control.params.arm import ArmParams, AXES, KINDS
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
 from gms_flex_control.params.key import below, Key, keys_of, SMALLEST
@@ -53,21 +54,6 @@ _SAFETY = (
     Key('silence_timeout', 'without a command for so long: zero torque and FAULT', 's', 0.035,
         0.002, 1.0),
     Key('emergency_stop_topic', 'std_msgs/Bool, true is pressed', default='emergency_stop'))
-# below limits.<joint>
-LIMITS = (
-    Key('torque', 'largest torque given to the robot', 'N m', UNLIMITED, 0.0, UNLIMITED),
-    Key('torque_rate', 'fastest rise of the torque; it may fall at once', 'N m/s', UNLIMITED,
-        SMALLEST, UNLIMITED),
-    Key('velocity', 'speed from which on no torque adds to it', 'rad/s', UNLIMITED, SMALLEST,
-        UNLIMITED),
-    Key('velocity_margin', 'beyond that by so much: FAULT', 'rad/s', 0.5, 0.0, UNLIMITED),
-    Key('lower', 'least angle; beyond it only inward torque', 'rad', -UNLIMITED, -UNLIMITED,
-        UNLIMITED),
-    Key('upper', 'largest angle; beyond it only inward torque', 'rad', UNLIMITED, -UNLIMITED,
-        UNLIMITED),
-    Key('position_margin', 'beyond the range by so much: FAULT', 'rad', 0.1, 0.0, UNLIMITED),
-    Key('torsion', 'motor minus link angle that is a FAULT', 'rad', UNLIMITED, SMALLEST,
-        UNLIMITED))
 # below bridge
 _BRIDGE = (
     Key('state_topics', 'joint states of the robot, one or several topics',
@@ -90,11 +76,6 @@ _BRIDGE = (
     Key('device', 'module:Class, or entry point, of a robot without ros2_control; then the '
         'topics above are not used', default=''),
     Key('device_options', 'for the device, each name=value', default=()))
-# below mapping.<joint>.link and .motor
-_SIDE = (
-    Key('sign', '1, or -1 if the reading falls when the joint turns forward', '', 1.0, -1.0, 1.0),
-    Key('ratio', 'turns of this encoder per turn of the joint', '', 1.0, SMALLEST, 1e6),
-    Key('offset', 'joint angle where it reads 0', 'rad', 0.0))
 # below mapping.<joint>.effort
 _EFFORT = (
     Key('name', "name in the robot's joint states and commands; '' is that of the motor side, or "
@@ -207,7 +188,7 @@ def plant_node_keys(joints) -> tuple[Key, ...]:
 
 def safety_keys(joints) -> tuple[Key, ...]:
     """Return the keys of the plant node that hold for simulator and bridge."""
-    return (PRIORITY, *_SAFETY, *_of_each(joints, 'limits', LIMITS))
+    return (PRIORITY, *_SAFETY, *_of_each(joints, 'limits', keys_of(Limits)))
 
 
 def bridge_keys(joints) -> tuple[Key, ...]:
@@ -217,7 +198,7 @@ def bridge_keys(joints) -> tuple[Key, ...]:
         for side, names in (('link', 'joints'), ('motor', 'motors')):
             name = Key('name', "name in the robot's joint states; '' is the name in " + names,
                        default='')
-            keys += below(f'mapping.{joint}.{side}', (name, *_SIDE))
+            keys += below(f'mapping.{joint}.{side}', (name, *keys_of(Reading)))
         keys += below(f'mapping.{joint}.effort', _EFFORT)
     return tuple(keys)
 

@@ -7,8 +7,9 @@ from gms_flex_control.errors import ConfigError, ParameterError, TrajectoryError
 from gms_flex_control.hardware.bridge import BridgeParams
 from gms_flex_control.hardware.limits import Limits, NEEDED, UNLIMITED
 from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
-from gms_flex_control.schema.build import complete
-from gms_flex_control.schema.keys import bridge_keys, LIMITS, safety_keys, trajectory_keys
+from gms_flex_control.params.key import keys_of
+from gms_flex_control.schema.build import columns, complete
+from gms_flex_control.schema.keys import bridge_keys, safety_keys, trajectory_keys
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.polynomials import Trajectory
 
@@ -19,12 +20,7 @@ def limits_from_values(values, joints) -> Limits | None:
     if all(abs(flat[f'limits.{joint}.{name}']) >= UNLIMITED for joint in joints
            for name in (*NEEDED, 'torsion')):
         return None
-    return _limits(flat, joints)
-
-
-def _limits(flat, joints):
-    return Limits(**{key.name: [flat[f'limits.{joint}.{key.name}'] for joint in joints]
-                     for key in LIMITS})
+    return Limits(**columns(Limits, flat, 'limits', joints))
 
 
 def bridge_from_values(values, joints, motors) -> BridgeParams:
@@ -40,8 +36,9 @@ def bridge_from_values(values, joints, motors) -> BridgeParams:
     if not sources:
         raise ConfigError('bridge.state_topics is empty: name at least one topic')
     return BridgeParams(
-        joint_map=_joint_map(flat, joints, motors), limits=_limits(flat, joints),
-        sources=sources, state_timeout=flat['bridge.state_timeout'],
+        joint_map=_joint_map(flat, joints, motors),
+        limits=Limits(**columns(Limits, flat, 'limits', joints)), sources=sources,
+        state_timeout=flat['bridge.state_timeout'],
         silence_timeout=flat['silence_timeout'], velocity_cutoff=flat['bridge.velocity_cutoff'],
         skew=flat['bridge.skew'], guarded=flat['bridge.guardian'] and not flat['bridge.device'])
 
@@ -62,7 +59,7 @@ def _joint_map(flat, joints, motors):
 
 def _reading(flat, prefix, name):
     return Reading(name=flat[f'{prefix}.name'] or name,
-                   **{key: flat[f'{prefix}.{key}'] for key in ('sign', 'ratio', 'offset')})
+                   **{key.name: flat[f'{prefix}.{key.name}'] for key in keys_of(Reading)})
 
 
 def _actuation(flat, prefix, name):

@@ -36,11 +36,8 @@ class CoulombError(Change):
     def change(robot, joint, values) -> RobotParams:
         factor = np.ones(robot.n_joints)
         factor[joint] += values[0]
-        sides = {side: replace(steady, static=steady.static * factor,
-                               coulomb=steady.coulomb * factor)
-                 for side, steady in (('forward', robot.friction.forward),
-                                      ('backward', robot.friction.backward))}
-        return replace(robot, friction=replace(robot.friction, **sides))
+        return replace(robot, friction=robot.friction.each_way(
+            lambda steady: steady.scaled(static=factor, coulomb=factor)))
 
 
 class FrictionAsymmetry(Change):
@@ -63,8 +60,7 @@ class FrictionAsymmetry(Change):
     @staticmethod
     def in_friction(steady, direction, values) -> StribeckParams:
         factor = 1.0 + direction * values[0]
-        return replace(steady, static=steady.static * factor, coulomb=steady.coulomb * factor,
-                       viscous=steady.viscous * factor)
+        return steady.scaled(static=factor, coulomb=factor, viscous=factor)
 
     @classmethod
     def change(cls, robot, joint, values) -> RobotParams:
@@ -166,11 +162,8 @@ class StribeckError(Change):
     def change(robot, joint, values) -> RobotParams:
         ratio = np.zeros(robot.n_joints)
         ratio[joint] = values[0]
-        sides = {side: replace(steady, static=np.maximum(
-            steady.static + ratio * steady.coulomb, steady.coulomb))
-            for side, steady in (('forward', robot.friction.forward),
-                                 ('backward', robot.friction.backward))}
-        return replace(robot, friction=replace(robot.friction, **sides))
+        return replace(robot, friction=robot.friction.each_way(lambda steady: replace(
+            steady, static=np.maximum(steady.static + ratio * steady.coulomb, steady.coulomb))))
 
 
 _RESOLVED = 4  # counts of an encoder within which no block slips: fewer show no loop

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Guess, linear, Parameter, Stage, Term, wave
 from gms_flex_control.effects.signals import LINK_TORQUE, Q_LINK
+from gms_flex_control.params.arm import Body, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -52,24 +53,10 @@ class TipPayload(Change):
 
     @staticmethod
     def change(robot, joint, values) -> RobotParams:
-        arm = robot.arm
-        mass, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
-        end = arm.length[-1] if arm.frames is None else arm.frames.end
-        whole = mass[-1] + values[0]
-        if whole == 0.0:
+        if robot.arm.mass[-1] + values[0] == 0.0:
             return robot
-        com[-1] = (arm.mass[-1] * arm.com[-1] + values[0] * end) / whole
-        inertia[-1] += (_about(arm.mass[-1], arm.com[-1] - com[-1])
-                        + _about(values[0], end - com[-1]))
-        mass[-1] = whole
-        return replace(robot, arm=replace(arm, mass=mass, com=com, inertia=inertia))
-
-
-def _about(mass, away):
-    """Return the inertia of a mass at a distance, or at a vector (3,) in space."""
-    if np.ndim(away) == 0:
-        return mass * away ** 2
-    return mass * (away @ away * np.eye(3) - np.outer(away, away))
+        payload = Body(values[0], np.zeros(3), np.zeros((3, 3)))
+        return replace(robot, arm=carrying(robot.arm, payload))
 
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
