@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields, replace
 import html
 from typing import Any, TYPE_CHECKING
 
+from gms_flex_control.batches import run_batch
 from gms_flex_control.comparison import study
 from gms_flex_control.comparison.tracking import Run, Table4, table4
 from gms_flex_control.data.recording import Phase, Recording
@@ -24,7 +25,7 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.identification import identify as identification
 from gms_flex_control.identification.outcome import Identification
 from gms_flex_control.identification.output import report_json
-from gms_flex_control.params.arm import ArmParams, in_units
+from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.reports import comparison_page, pictures, tuning_page
@@ -204,32 +205,34 @@ class TuningResult(Result):
 class ComparisonResult(Result):
     """Friction compensations side by side, see `compare`."""
 
-    arm: ArmParams
-    errors: dict[str, list[float | None]]  # by compensation [rad]; None where it was lost
-    titles: tuple[str, ...]     # of the entries of each list
-    text: str
-    values: dict[str, Any]
+    setting: study.Setting
+    outcomes: dict[str, Any]    # a Trial by motion for each of study.cells
+    rows: list[study.Row]       # one for each compensation
 
     def summary(self) -> str:
         """Return the table of ``gms_flex compare``."""
-        return in_units(self.arm, self.text)
+        return in_units(self.setting.robot.arm, comparison_page.plant_text(self.rows))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers of ``gms_flex compare``."""
-        return self.values
+        one = self.setting
+        return {'rate': one.rate, 'amplitude': float(one.amplitude[0]), 'draws': one.draws,
+                'seed': one.seed, 'rows': [row._asdict() for row in self.rows]}
 
     def plot(self) -> Figure:
-        """Return the errors as bars, a panel for each of ``titles``."""
-        figure, panels = stacked_panels(len(self.titles))
-        for k, (panel, title) in enumerate(zip(panels, self.titles, strict=True)):
-            panel.bar(list(self.errors), [one[k] or 0.0 for one in self.errors.values()])
+        """Return the errors as bars, a panel for each group of conditions."""
+        titles = list(self.rows[0].errors)
+        figure, panels = stacked_panels(len(titles))
+        for panel, title in zip(panels, titles, strict=True):
+            panel.bar([row.mode for row in self.rows],
+                      [row.errors[title] or 0.0 for row in self.rows])
             panel.set_ylabel(f'{title} [rad]')
             panel.tick_params(axis='x', labelrotation=30)
         return figure
 
     def _rows(self) -> list[dict[str, Any]]:
-        return [{'compensation': mode} | {f'{title} [rad]': value for title, value in zip(
-            self.titles, values, strict=True)} for mode, values in self.errors.items()]
+        return [{'compensation': row.mode} | {
+            f'{title} [rad]': value for title, value in row.errors.items()} for row in self.rows]
 
 
 def identify(recordings: Sequence[Take], robot: RobotParams, *, holdouts: Sequence[Take] = (),
@@ -301,22 +304,18 @@ def tune(robot: RobotParams, gains: ControllerParams, *, rate: float = 500.0, de
 
 
 def compare(robot: RobotParams, gains: ControllerParams, *, draws: int = 0, rate: float = 500.0,
-            amplitude: float = 1.0, seed: int = 0) -> ComparisonResult:
+            amplitude: float = 1.0, seed: int = 0, workers: int = 0) -> ComparisonResult:
     """
     Return eight friction compensations side by side, in simulation.
 
     Each drives the robot at ``rate`` [Hz] through motions of ``amplitude`` [rad], also with
-    ``draws`` robots that differ from the belief.
+    ``draws`` robots that differ from the belief; in this process, or in so many ``workers``.
     """
     setting = study.Setting(robot, gains, np.full(robot.n_joints, amplitude), rate, draws, seed)
-    rows = study.table({key: study.try_cell(cell) for key, cell in study.cells(setting).items()},
-                       setting)
-    titles = tuple(rows[0].errors)
-    return ComparisonResult(
-        robot.arm, {row.mode: [row.errors[title] for title in titles] for row in rows},
-        titles, comparison_page.plant_text(rows),
-        {'rate': rate, 'amplitude': amplitude, 'draws': draws, 'seed': seed,
-         'rows': [row._asdict() for row in rows]})
+    cells = study.cells(setting)
+    outcomes = (run_batch(study.try_cell, cells, workers, 'cells') if workers else
+                {key: study.try_cell(cell) for key, cell in cells.items()})
+    return ComparisonResult(setting, outcomes, study.table(outcomes, setting))
 
 
 def _fields(found: Any) -> dict[str, Any]:

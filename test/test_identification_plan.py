@@ -51,9 +51,9 @@ def motions(plan):
 def test_every_motion_keeps_the_limits_of_its_joint(plan):
     for step, j, reference in motions(plan):
         q, dq, ddq = reference[:, 0, j], reference[:, 1, j], reference[:, 2, j]
-        assert plan.lower[j] < q.min() and q.max() < plan.upper[j], step.name
-        assert np.abs(dq).max() <= plan.velocity[j] * 1.001, step.name
-        assert np.abs(ddq).max() <= plan.acceleration[j] * 1.001, step.name
+        assert plan.limits.lower[j] < q.min() and q.max() < plan.limits.upper[j], step.name
+        assert np.abs(dq).max() <= plan.limits.velocity[j] * 1.001, step.name
+        assert np.abs(ddq).max() <= plan.limits.acceleration[j] * 1.001, step.name
         others = np.delete(reference, j, axis=2)
         assert np.all(others[:, 1:] == 0.0), step.name
 
@@ -65,7 +65,7 @@ def test_every_torque_keeps_the_limit_and_begins_and_ends_smoothly_at_zero(plan)
         trajectory = plan.trajectory(step)
         torque = trajectory.sample(np.linspace(0.0, trajectory.end, 3000))
         assert trajectory.quantity == 'effort'
-        assert np.all(np.abs(torque[:, 0]).max(axis=0) <= plan.torque)
+        assert np.all(np.abs(torque[:, 0]).max(axis=0) <= plan.limits.torque)
         assert np.abs(torque[:, 0]).max() == pytest.approx(abs(step.value), rel=1e-3)
         assert np.abs(torque[[0, -1], :3]).max() < 1e-9
         assert np.abs(np.diff(torque[:, 1], axis=0)).max() < 0.01  # no kink rings the motor

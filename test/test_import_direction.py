@@ -19,7 +19,7 @@ pytestmark = pytest.mark.fast
 PACKAGE = 'gms_flex_control'
 ROOT = Path(gms_flex_control.__file__).parent
 # each may import those before it, and itself; one that does not exist yet does no harm
-LAYERS = ['errors', 'file_io', 'yaml_map', 'batches', 'answer', 'compiled', 'records',
+LAYERS = ['errors', 'file_io', 'batches', 'answer', 'compiled', 'records',
           'params', 'friction', 'effects', 'dynamics', 'trajectory',
           'control', 'hardware', 'schema', 'exports', 'simulation', 'data',
           'experiment', 'identification', 'discrepancy', 'design',

@@ -9,11 +9,11 @@ import sys
 from typing import NamedTuple
 
 from gms_flex_control.answer import Answer, command, Number
-from gms_flex_control.cli.identify_bags import read_experiment_of
+from gms_flex_control.cli.recordings import read_experiment_of
 from gms_flex_control.cli.robots import controller_of
 from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
 from gms_flex_control.compiled import in_one_thread
-from gms_flex_control.data.conditions import conditions_of, OF_ROBOT, repeat_conditions
+from gms_flex_control.data.conditions import conditions_of, KEYS, OF_ROBOT, repeat_conditions
 from gms_flex_control.design.determination import missing_of, plan_determination
 from gms_flex_control.design.excitation import Bounds, plan_excitation, sentence
 from gms_flex_control.design.plan import (
@@ -159,8 +159,18 @@ def _carry_out(task, args, out):
     """Plan and record in turn; return 0 if one explanation is left, else 1."""
     if (out / '1').exists():
         raise ConfigError(f'--out {out} has recordings of an earlier run; name another folder')
-    drive = _by_ros(task, out) if args.with_ros else _in_simulation(
-        task, load_robot(args.simulate), out)
+    bags, record = list(task.bags), _by_ros() if args.with_ros else _in_simulation(
+        task, load_robot(args.simulate))
+
+    def drive(plan, number):
+        """Return the recording of a plan, the robot loaded as in the last recording."""
+        write_files(plan, out / str(number))
+        bag, motion = out / str(number) / 'bag', plan.best.candidate
+        record(plan.best, bag, bags[-1], number)
+        repeat_conditions(bags[-1], bag, KEYS if args.with_ros else OF_ROBOT, motion.load)
+        bags.append(bag)
+        return read_experiment_of(bag, task.robot)[0]
+
     found = separate(task.recordings(), task.robot, task.sets, task.gains, task.limits, drive,
                      period=task.period, odds=args.odds, budget=args.budget,
                      longest=args.longest, weight=args.weight, say=say)
@@ -168,40 +178,30 @@ def _carry_out(task, args, out):
     return int(found.verdict != ONE_LEFT)
 
 
-def _in_simulation(task, robot, out):
-    """Return what drives a simulated robot (RobotParams), loaded as in the last recording."""
+def _in_simulation(task, robot):
+    """Return what records a motion of a simulated robot (RobotParams)."""
     if robot.joints != task.robot.joints:
         raise ConfigError(f'--simulate: joints {", ".join(robot.joints)} are not those of --robot '
                           f'({", ".join(task.robot.joints)})')
-    bags = list(task.bags)
 
-    def drive(plan, number):
-        write_files(plan, out / str(number))
-        bag, motion = out / str(number) / 'bag', plan.best.candidate
-        carried = together(conditions_of(bags[-1]).operation.load, motion.load)
+    def record(best, bag, last, number):
+        carried = together(conditions_of(last).operation.load, best.candidate.load)
         simulate_to_bag(closed_loop_plan(
-            loaded(robot, carried), task.robot,
-            motion, plan.best.duration, task.gains, period=task.period, seed=number), bag)
-        repeat_conditions(bags[-1], bag, OF_ROBOT, motion.load)
-        bags.append(bag)
-        return read_experiment_of(bag, task.robot)[0]
-    return drive
+            loaded(robot, carried), task.robot, best.candidate, best.duration, task.gains,
+            period=task.period, seed=number), bag)
+    return record
 
 
-def _by_ros(task, out):
-    """Return what drives the robot of the running nodes, loaded as in the last recording."""
-    runner, bags = import_ros('gms_flex_control.nodes.motion_runner'), list(task.bags)
+def _by_ros():
+    """Return what records a motion of the running nodes."""
+    runner = import_ros('gms_flex_control.nodes.motion_runner')
 
-    def drive(plan, number):
-        write_files(plan, out / str(number))
-        bag, motion = out / str(number) / 'bag', plan.best.candidate
+    def record(best, bag, _last, _number):
+        motion = best.candidate
         if motion.load is not None:
             input(f'Hang {motion.load.mass:g} kg at the tip, then press Enter: ')
-        runner.drive_motion(motion.parameters, plan.best.duration, bag, say=say)
-        repeat_conditions(bags[-1], bag, load=motion.load)
-        bags.append(bag)
-        return read_experiment_of(bag, task.robot)[0]
-    return drive
+        runner.drive_motion(motion.parameters, best.duration, bag, say=say)
+    return record
 
 
 def write_files(plan, out) -> Path:

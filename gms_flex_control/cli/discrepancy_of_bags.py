@@ -8,7 +8,7 @@ from pathlib import Path
 import sys
 from textwrap import fill
 
-from gms_flex_control.cli.identify_bags import read_experiment_of
+from gms_flex_control.cli.recordings import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
 from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
 from gms_flex_control.discrepancy.compared import as_found, compare

@@ -12,7 +12,6 @@ from gms_flex_control import __version__, results
 from gms_flex_control.batches import run_batch
 from gms_flex_control.cli.robots import controller_of
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
-from gms_flex_control.comparison import study
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.file_io import as_json, controller_file, robot_file, write_json
@@ -142,20 +141,16 @@ def compare(args) -> int:
     refuse_unwritable(args.out)
     robot = load_robot(args.robot or robot_file())
     gains = load_controller(controller_of(args, robot.joints), robot)
-    setting = study.Setting(robot, gains, np.full(robot.n_joints, args.amplitude), args.rate,
-                            args.draws, args.seed)
-    outcomes = run_batch(study.try_cell, study.cells(setting), args.workers, 'cells')
-    rows = study.table(outcomes, setting)
-    values = {'rate': args.rate, 'amplitude': args.amplitude, 'draws': args.draws,
-              'seed': args.seed, 'rows': [row._asdict() for row in rows], 'cells': outcomes}
+    found = results.compare(robot, gains, draws=args.draws, rate=args.rate, seed=args.seed,
+                            amplitude=args.amplitude, workers=args.workers)
+    values = found.to_dict() | {'cells': found.outcomes}
     page, numbers = Path(args.out) / 'report.html', Path(args.out) / 'comparison.json'
     write_json(numbers, values)
-    comparison_page.plant_page(rows, outcomes, setting, args.robot).write(page)
+    comparison_page.plant_page(found.rows, found.outcomes, found.setting, args.robot).write(page)
     if args.json:
         print(as_json(values))
         return 0
-    words = partial(in_units, robot.arm)
-    print(words(comparison_page.plant_text(rows)))
-    conclude(comparison_page.plant_answer(rows, outcomes, args.robot),
-             {'report': page, 'numbers': numbers}, words)
+    print(found.summary())
+    conclude(comparison_page.plant_answer(found.rows, found.outcomes, args.robot),
+             {'report': page, 'numbers': numbers}, partial(in_units, robot.arm))
     return 0

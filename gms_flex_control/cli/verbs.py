@@ -131,7 +131,7 @@ _VIEW = Verb(
         option('--open', action='store_true', help='open the page in a browser')),
     ('view my_bag --robot config/robot.yaml', 'view sinusoid_gms sinusoid_none', 'view live'))
 _IDENTIFY = Verb(
-    'identify', 'identify_bags.identify_verb',
+    'identify', 'recordings.identify_bags',
     'friction parameters from bags, with intervals and a report',
     'Fit the friction of a robot to bags of identification_node, of `ros2 bag record` or of '
     'import-csv. Writes friction.yaml, which plant and controller take as it is, report.json, '

@@ -21,14 +21,13 @@ from pathlib import Path
 
 from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
-from gms_flex_control.file_io import checked_yaml, write_text
+from gms_flex_control.file_io import checked_yaml, read_map, write_text
 from gms_flex_control.params.arm import Body, require_body, together
-from gms_flex_control.yaml_map import read_map
 import numpy as np
 
 NAME = 'recording.yaml'
 UNKNOWN = 'unknown'
-_KEYS = ('load', 'temperature', 'torque_constant', 'coupling')
+KEYS = ('load', 'temperature', 'torque_constant', 'coupling')
 OF_ROBOT = ('load', 'temperature')  # and not of how its efforts are recorded
 _POINT = 1e-9  # of mass times length squared: inertia of a load that is next to a point
 
@@ -49,7 +48,7 @@ def conditions_of(bag) -> Conditions:
     if not file.is_file():
         return Conditions()
     top = read_map(file, ConfigError)
-    top.only(*_KEYS)
+    top.only(*KEYS)
     whole = top.value('load') == UNKNOWN
     load = None if whole else top.section('load')
     body = _load(load)
@@ -62,7 +61,7 @@ def conditions_of(bag) -> Conditions:
         coupling=_coupling(top.section('coupling', example='{joint6: {joint5: 1.0}}')))
 
 
-def repeat_conditions(bag, new, keys: Sequence[str] = _KEYS, load: Body | None = None) -> None:
+def repeat_conditions(bag, new, keys: Sequence[str] = KEYS, load: Body | None = None) -> None:
     """
     State in the folder of a new bag what is known of another, or some ``keys`` of it.
 

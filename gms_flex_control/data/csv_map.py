@@ -15,7 +15,7 @@ import math
 from typing import NamedTuple
 
 from gms_flex_control.errors import ImportDataError
-from gms_flex_control.yaml_map import read_map
+from gms_flex_control.file_io import read_map
 
 _TURN = 2 * math.pi
 # unit -> factor to SI; None: needs more than a factor (see import_map)

@@ -25,17 +25,12 @@ APPROACH = 'approach'
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IdentificationPlan:
-    """What the experiment does, and within which limits; arrays (n_joints,)."""
+    """What the experiment does, and within which limits."""
 
     joints: tuple             # link names of the robot
     experiments: tuple        # of Step, those that measure something, in order
     compensation: str         # of the controller in motion steps
-    lower: np.ndarray         # limits [rad]
-    upper: np.ndarray
-    velocity: np.ndarray      # [rad/s]
-    acceleration: np.ndarray  # [rad/s^2]
-    torque: np.ndarray        # [N m]
-    static: np.ndarray        # expected static friction of the weaker direction [N m]
+    limits: StepLimits
     rest_time: float          # after each step [s]
     relax_time: float         # for the springs to unload [s]
 
@@ -65,8 +60,8 @@ class IdentificationPlan:
     def approach_time(self, begin, end) -> float:
         """Return the time for a move from rest to rest within the limits [s]."""
         distance = np.abs(np.asarray(end) - np.asarray(begin))
-        at_speed = _PEAK_VELOCITY * distance / (_APPROACH_SPEED * self.velocity)
-        at_force = np.sqrt(_PEAK_ACCELERATION * distance / self.acceleration)
+        at_speed = _PEAK_VELOCITY * distance / (_APPROACH_SPEED * self.limits.velocity)
+        at_force = np.sqrt(_PEAK_ACCELERATION * distance / self.limits.acceleration)
         return float(max(_SHORTEST_APPROACH, at_speed.max(), at_force.max()))
 
     def _approach(self, step, place):
@@ -110,9 +105,7 @@ def plan_identification(values: dict, robot, gains) -> IdentificationPlan:
             experiments += planner.plan(experiment, joint)
     return IdentificationPlan(
         joints=robot.joints, experiments=tuple(experiments),
-        compensation=flat['identification.compensation'], lower=limits.lower,
-        upper=limits.upper, velocity=limits.velocity, acceleration=limits.acceleration,
-        torque=limits.torque, static=limits.weakest_static,
+        compensation=flat['identification.compensation'], limits=limits,
         rest_time=flat['identification.rest_time'],
         relax_time=flat['identification.relax_time'])
 
@@ -173,11 +166,11 @@ class Adaptation:
         if step.phase != 'presliding' or step.joint not in self.found:
             return step
         j = self._plan.joints.index(step.joint)
-        factor = _CAUTION * self.found[step.joint] / self._plan.static[j]
+        factor = _CAUTION * self.found[step.joint] / self._plan.limits.weakest_static[j]
         factor = min(max(factor, _LEAST), _MOST)
         name = f'trajectory.{step.joint}.levels'
         bias = abs(step.trajectory_parameters[f'trajectory.{step.joint}.bias'])
-        factor = min(factor, (self._plan.torque[j] - bias) / step.value)
+        factor = min(factor, (self._plan.limits.torque[j] - bias) / step.value)
         levels = [factor * level for level in step.trajectory_parameters[name]]
         return step._replace(trajectory_parameters=step.trajectory_parameters | {name: levels},
                              value=factor * step.value)

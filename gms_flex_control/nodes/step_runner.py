@@ -72,19 +72,19 @@ class Watch:
             self._window = (self.stamp, list(q_link))
         if not self._guarded or self.fault is not None:
             return
-        plan = self._plan
+        plan, limits = self._plan, self._plan.limits
         for j, joint in enumerate(plan.joints):
-            if not plan.lower[j] <= q_link[j] <= plan.upper[j]:
+            if not limits.lower[j] <= q_link[j] <= limits.upper[j]:
                 self.fault = (f'{joint} is at {q_link[j]:.4g} rad, outside its range '
-                              f'{plan.lower[j]:g} to {plan.upper[j]:g} rad: zero torque')
+                              f'{limits.lower[j]:g} to {limits.upper[j]:g} rad: zero torque')
         elapsed = self.stamp - self._window[0]
         if elapsed < _WINDOW:
             return
         for j, joint in enumerate(plan.joints):
             speed = abs(q_link[j] - self._window[1][j]) * NANOSECONDS / elapsed
-            if speed > _OVERSPEED * plan.velocity[j]:
+            if speed > _OVERSPEED * limits.velocity[j]:
                 self.fault = (f'{joint} moves at {speed:.3g} rad/s, the limit is '
-                              f'{plan.velocity[j]:g} rad/s: zero torque')
+                              f'{limits.velocity[j]:g} rad/s: zero torque')
         self._window = (self.stamp, list(q_link))
 
 
@@ -122,7 +122,7 @@ class StepRunner:
     def _take_over(self):
         """Limit the controller's torque; note the parameters to leave it with."""
         limits = {f'gains.{joint}.torque_limit': float(limit) for joint, limit in zip(
-            self._plan.joints, self._plan.torque, strict=True)}
+            self._plan.joints, self._plan.limits.torque, strict=True)}
         names = ['compensation', *limits]
         remote = self._node.controller
         answer = self._node.answer(remote.get_parameters(names), remote.name)

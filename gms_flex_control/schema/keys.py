@@ -289,11 +289,7 @@ def _effect_key(name, joints):
 
     ConfigError names the nearest if joint, effect or parameter is unknown.
     """
-    parts = name.split('.')
-    if len(parts) != 4:
-        raise ConfigError(f'{name} must have the form effects.<joint>.<effect>.<parameter>')
-    _, joint, effect, parameter = parts
-    _require_place(name, joint, joints)
+    joint, effect, parameter = _parts(name, 'effects.<joint>.<effect>.<parameter>', joints)
     try:
         kind = registry.find(effect)
     except ParameterError as error:
@@ -306,24 +302,23 @@ def _effect_key(name, joints):
         raise ConfigError(f'{name}: {effect} has no parameter {parameter!r}'
                           f'{did_you_mean(parameter, known)}')
     entry = known[parameter]
-    return Key(name, entry.description, entry.unit, lower=entry.lower,
-               upper=entry.upper)
+    return Key(name, entry.description, entry.unit, lower=entry.lower, upper=entry.upper)
 
 
-def _require_place(name, joint, joints):
-    """Raise ConfigError if a key's joint is neither one of the robot's nor the whole arm."""
-    if joint not in (*joints, WHOLE_ARM):
-        raise ConfigError(f'{name}: unknown joint {joint!r}'
-                          f'{did_you_mean(joint, (*joints, WHOLE_ARM))}')
+def _parts(name, form, joints):
+    """Return the parts of a key behind its first; refuse another form, and an unknown joint."""
+    _, *parts = name.split('.')
+    if len(parts) != form.count('.'):
+        raise ConfigError(f'{name} must have the form {form}')
+    if parts[0] not in (*joints, WHOLE_ARM):
+        raise ConfigError(f'{name}: unknown joint {parts[0]!r}'
+                          f'{did_you_mean(parts[0], (*joints, WHOLE_ARM))}')
+    return parts
 
 
 def _uncertainty_key(name, joints):
     """Return the key of a standard deviation, ``uncertainty.<joint>.<kind>``."""
-    parts = name.split('.')
-    if len(parts) != 3:
-        raise ConfigError(f'{name} must have the form uncertainty.<joint>.<kind>')
-    _, joint, kind = parts
-    _require_place(name, joint, joints)
+    _, kind = _parts(name, 'uncertainty.<joint>.<kind>', joints)
     if kind not in UNCERTAIN:
         raise ConfigError(f'{name}: unknown kind of parameter {kind!r}'
                           f'{did_you_mean(kind, UNCERTAIN)}')
