@@ -10,7 +10,7 @@ from gms_flex_control.control.feedforward import as_parameters, compensated
 from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.following import Follower, Reference
-from gms_flex_control.nodes.health import Health, WARN
+from gms_flex_control.nodes.health import Health, trigger, WARN
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
@@ -138,7 +138,7 @@ class ControllerNode(Node):
         boxes = []
         Inbox(self, Float64MultiArray, 'reference', self._on_reference, values['mode'], boxes)
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'], boxes)
-        self.create_service(Trigger, '~/reset', self.health.guard(self._on_reset))
+        self.create_service(Trigger, '~/reset', self.health.guard(trigger('reset', self._reset)))
         parameters.watch(lambda new: controller_from_values(new, joints), self._use,
                          self.health.guard)
         self._warn_of_conditions(gains)
@@ -247,12 +247,11 @@ class ControllerNode(Node):
         self._waiting = None
         self._outputs.zero(self.follower.last or 0)
 
-    def _on_reset(self, _request, response):
+    def _reset(self):
         """End a fault: begin anew from the measured state."""
         self.follower.reset()
         self.health.recover()
-        response.success, response.message = True, 'begins anew from the measured state'
-        return response
+        return True, 'begins anew from the measured state'
 
     def _figures(self):
         return {**self._counts, **self.follower.counts,

@@ -31,6 +31,16 @@ def now(node) -> Time:
     return time_of_node if time_of_node.nanoseconds else _SYSTEM.now()
 
 
+def trigger(name, act) -> Callable:
+    """Return the handler ``name`` of a Trigger service; ``act()`` returns success and message."""
+    def handler(_request, response):
+        response.success, response.message = act()
+        return response
+
+    handler.__name__ = name
+    return handler
+
+
 class Health:
     """
     State of one node, on /diagnostics once a second and when it changes.

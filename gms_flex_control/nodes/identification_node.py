@@ -17,6 +17,7 @@ from gms_flex_control.experiment.identification_plan import (
     require_space,
 )
 from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes.health import trigger
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.recorder import ExperimentBag, STATES
 from gms_flex_control.nodes.remote import RemoteNode
@@ -131,9 +132,9 @@ class IdentificationNode(Node):
         self.create_subscription(JointState, STATES, self._on_joint_states,
                                  process.subscriber_qos(self._values['mode'], _DEPTH),
                                  event_callbacks=process.NO_EVENTS)
-        for name, handler in (('start', self._start), ('stop', self._stop),
-                              ('resume', self._resume)):
-            self.create_service(Trigger, f'~/{name}', handler)
+        for name, act in (('start', lambda: self._order('begins')), ('stop', self._stop),
+                          ('resume', lambda: self._order('goes on'))):
+            self.create_service(Trigger, f'~/{name}', trigger(name, act))
         self.say(f'{len(self.plan.experiments)} steps, about {self.plan.duration():.0f} s to go')
 
     def __getitem__(self, name):
@@ -154,23 +155,15 @@ class IdentificationNode(Node):
         if self.watch.fault is not None and not self._stopped:
             self._release()
 
-    def _start(self, _request, response):
-        return self._order(response, 'begins')
+    def _order(self, words):
+        """Let the steps be carried out; return success and message."""
+        ordered, self._ordered = self._ordered, True
+        return not ordered, 'runs already' if ordered else words
 
-    def _resume(self, _request, response):
-        return self._order(response, 'goes on')
-
-    def _order(self, response, words):
-        response.success = not self._ordered
-        response.message = words if response.success else 'runs already'
-        self._ordered = True
-        return response
-
-    def _stop(self, _request, response):
+    def _stop(self):
         self._release()
         self._ordered = False
-        response.success, response.message = True, 'zero torque; ~/resume goes on'
-        return response
+        return True, 'zero torque; ~/resume goes on'
 
     def _release(self):
         """Ask for zero torque at once; what waits for the robot gets a StoppedError."""

@@ -3,12 +3,13 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The robot as a ROS 2 node, simulated or the bridge to a real one, and its safety services."""
 
+from functools import partial
 import threading
 import time
 
 from gms_flex_control.nodes import process
 from gms_flex_control.nodes.bridged_robot import BridgedRobot
-from gms_flex_control.nodes.health import Health
+from gms_flex_control.nodes.health import Health, trigger
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.simulated_robot import SimulatedRobot
 from gms_flex_control.nodes.topics import all_waiting, DEPTH, Direct
@@ -94,8 +95,12 @@ class Safety:
         group = ReentrantCallbackGroup()  # while one handler waits the others go on
         for qos in _ANY_BUTTON:
             self._listen(qos, group)
-        for name, handler in (('disable', self._disable), ('reset', self._reset),
-                              ('emergency_stop', self._stop), ('enable', self._enable)):
+        for name, handler in (
+                ('disable', trigger('disable', robot.disable)),
+                ('reset', trigger('reset', self._reset)),
+                ('emergency_stop', trigger('stop', partial(
+                    robot.stop, 'emergency stop by service'))),
+                ('enable', self._enable)):
             self._node.create_service(Trigger, node.resolve_service_name(f'~/{name}'), handler,
                                       callback_group=group)
         self._hold, self._served = None, node.direct.services
@@ -142,29 +147,18 @@ class Safety:
             Bool, self._topic, on_button, qos, callback_group=group, raw=True,
             event_callbacks=process.NO_EVENTS)
 
-    @staticmethod
-    def _answer(response, outcome):
-        response.success, response.message = outcome
-        return response
-
-    def _disable(self, _request, response):
-        return self._answer(response, self._robot.disable())
-
-    def _reset(self, _request, response):
+    def _reset(self):
         self._health.recover()
-        return self._answer(response, self._robot.reset())
-
-    def _stop(self, _request, response):
-        return self._answer(response, self._robot.stop('emergency stop by service'))
+        return self._robot.reset()
 
     async def _enable(self, _request, response):
         refusals = self._robot.refusals  # of what may come while the hold is waited for
         obstacle = self._robot.obstacle()
         if not obstacle and self._hold is not None and self._robot.at_zero:
             obstacle = self._no_hold() or await self._held()
-        if obstacle:
-            return self._answer(response, (False, f'not enabled: {obstacle}'))
-        return self._answer(response, self._robot.enable(refusals))
+        response.success, response.message = (
+            (False, f'not enabled: {obstacle}') if obstacle else self._robot.enable(refusals))
+        return response
 
     async def _held(self):
         """Let the reference hold; return a sentence if it does not, else ''."""

@@ -9,7 +9,7 @@ import time
 
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
 from gms_flex_control.nodes import joint_trajectory, messages, process
-from gms_flex_control.nodes.health import Health, OK
+from gms_flex_control.nodes.health import Health, OK, trigger
 from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.reference_motion import LinkStates, LONGEST_PAUSE, Motion
@@ -68,10 +68,15 @@ class TrajectoryNode(Node):
         self.create_subscription(
             JointTrajectory, '~/joint_trajectory', self.health.shield(self._on_joint_trajectory),
             process.subscriber_qos('lockstep'), event_callbacks=process.NO_EVENTS)
-        for name, handler in (('start', self._start), ('stop', self._stop),
-                              ('reset', self._reset), ('release', self._release)):
-            self.create_service(Trigger, f'~/{name}', guard(handler))
-            self.direct.services[self.resolve_service_name(f'~/{name}')] = guard(handler)
+        for name, act in (
+                ('start', lambda: self._answer(
+                    self._motion.go, f"{self._motion.values['trajectory.type']} begins")),
+                ('stop', lambda: self._answer(self._motion.brake, 'comes to rest')),
+                ('reset', self._reset),
+                ('release', lambda: self._answer(self._motion.let_go, 'zero torque'))):
+            handler = guard(trigger(name, act))
+            self.create_service(Trigger, f'~/{name}', handler)
+            self.direct.services[self.resolve_service_name(f'~/{name}')] = handler
 
         def judge(new):
             trajectory = trajectory_from_values(new, joints)
@@ -200,33 +205,22 @@ class TrajectoryNode(Node):
             return end
         return follow
 
-    def _reply(self, response, action, done):
+    def _answer(self, action, done):
+        """Return success and message of a service after an action."""
         if self._motion.published is None:
-            response.success, response.message = False, _NO_STATE
-            return response
+            return False, _NO_STATE
         try:
             action()
-            response.success, response.message = True, done
         except GmsFlexError as error:
-            response.success, response.message = False, str(error)
-        return response
+            return False, str(error)
+        return True, done
 
-    def _start(self, _request, response):
-        return self._reply(response, self._motion.go,
-                           f"{self._motion.values['trajectory.type']} begins")
-
-    def _stop(self, _request, response):
-        return self._reply(response, self._motion.brake, 'comes to rest')
-
-    def _reset(self, _request, response):
+    def _reset(self):
         self.health.recover()
         if self._motion.published is None:  # the next state is the first again
             self._motion.current = None
-        return self._reply(response, self._motion.rest_at_robot,
-                           'reference comes to rest from where the robot is')
-
-    def _release(self, _request, response):
-        return self._reply(response, self._motion.let_go, 'zero torque')
+        return self._answer(self._motion.rest_at_robot,
+                            'reference comes to rest from where the robot is')
 
     def finish(self) -> None:
         """End: a controller whose reference stops sends zero torque by itself."""
