@@ -14,18 +14,9 @@ from gms_flex_control.cli.robots import controller_of
 from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.conditions import conditions_of, KEYS, OF_ROBOT, repeat_conditions
+from gms_flex_control.design import plan as planning
 from gms_flex_control.design.determination import missing_of, plan_determination
 from gms_flex_control.design.excitation import Bounds, plan_excitation, sentence
-from gms_flex_control.design.plan import (
-    clipped,
-    LIKELY,
-    MOST,
-    ONE_LEFT,
-    plan_next,
-    separate,
-    surviving,
-    write_plan,
-)
 from gms_flex_control.design.separation import beliefs_of, closed_loop_plan, loaded
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
@@ -69,15 +60,15 @@ def next_recording(args) -> int:
         if args.with_ros or args.simulate:
             return _carry_out(task, args, out)
         say('explanations along the recordings so far')
-        plan = plan_next(beliefs_of(task.recordings(), task.robot, task.sets), task.gains,
-                         task.limits, period=task.period, odds=args.odds, longest=args.longest,
-                         weight=args.weight, say=say)
+        plan = planning.plan_next(
+            beliefs_of(task.recordings(), task.robot, task.sets), task.gains, task.limits,
+            period=task.period, odds=args.odds, longest=args.longest, weight=args.weight, say=say)
     trajectory, load = write_files(plan, out), plan.best.candidate.load
     if load is not None:  # to be put into the folder of the new bag
         repeat_conditions(task.bags[-1], out, OF_ROBOT, load)
     if args.json:
         print(as_json(_as_dict(plan)))
-        return int(plan.probability < LIKELY)
+        return int(plan.probability < planning.LIKELY)
     numbers = tuple(Number(
         f'{one.duration:.0f} s of {one.candidate.words}',
         f'{100.0 * plan.share(one):.0f} %', f'{plan.pace(one):.2g}', '')
@@ -87,7 +78,7 @@ def next_recording(args) -> int:
         'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',
         f'{plan.best.duration:.0f}', '--out', out / 'bag')),
         {'motion': trajectory, 'picture': out / 'plan.png', 'numbers': out / 'plan.json'})
-    return int(plan.probability < LIKELY)
+    return int(plan.probability < planning.LIKELY)
 
 
 def _loaded(args):
@@ -111,7 +102,7 @@ def _determine(report, args, out):
             robot, [read_experiment_of(bag, robot)[0] for bag in report['sources']],
             missing_of(report), gains, limits, period=1.0 / args.rate,
             duration=min(args.longest, _DETERMINED), say=say)
-    trajectory, columns = write_plan(plan, out), ('so far', 'then', '')
+    trajectory, columns = planning.write_plan(plan, out), ('so far', 'then', '')
     files = {'motion': trajectory, 'numbers': out / 'plan.json'}
     if plan.experiments is not None:
         files['experiments'] = out / 'identification.yaml'
@@ -145,11 +136,12 @@ def _task(report, args):
         raise ConfigError('--weight: decoupled axes have no tip to hang it at')
     if args.weight and args.with_ros and not sys.stdin.isatty():
         raise ConfigError('--weight with --run needs a person at a terminal, to hang it')
-    sets = sets_of(args.effects, robot) if args.effects else surviving(report)
+    sets = sets_of(args.effects, robot) if args.effects else planning.surviving(report)
     if len(sets) < 2:
         raise ConfigError(f'{args.result} leaves one explanation, so there is nothing to '
                           'separate; --effects names others')
-    return Task(robot, clipped(gains, limits), limits, report['sources'], sets, 1.0 / args.rate)
+    return Task(robot, planning.clipped(gains, limits), limits, report['sources'], sets,
+                1.0 / args.rate)
 
 
 # --- rounds -------------------------------------------------------------------------------------
@@ -171,11 +163,12 @@ def _carry_out(task, args, out):
         bags.append(bag)
         return read_experiment_of(bag, task.robot)[0]
 
-    found = separate(task.recordings(), task.robot, task.sets, task.gains, task.limits, drive,
-                     period=task.period, odds=args.odds, budget=args.budget,
-                     longest=args.longest, weight=args.weight, say=say)
+    found = planning.separate(
+        task.recordings(), task.robot, task.sets, task.gains, task.limits, drive,
+        period=task.period, odds=args.odds, budget=args.budget, longest=args.longest,
+        weight=args.weight, say=say)
     report_separation(found, task, args.robot, out, args.json)
-    return int(found.verdict != ONE_LEFT)
+    return int(found.verdict != planning.ONE_LEFT)
 
 
 def _in_simulation(task, robot):
@@ -206,7 +199,7 @@ def _by_ros():
 
 def write_files(plan, out) -> Path:
     """Write trajectory, numbers and picture of a plan; return the path of the trajectory."""
-    trajectory = write_plan(plan, out)
+    trajectory = planning.write_plan(plan, out)
     write_json(out / 'plan.json', _as_dict(plan))
     save_figure(next_figure(plan), out / 'plan.png')
     return trajectory
@@ -269,9 +262,9 @@ def _report(folder):
 
 def sets_of(texts, robot) -> list:
     """Return explanations given as EFFECT:JOINT+EFFECT:JOINT; ConfigError if one is repeated."""
-    if len(texts) > MOST:
-        raise ConfigError(f'--effects: {len(texts)} explanations, at most {MOST} are separated at '
-                          'once; name the likeliest')
+    if len(texts) > planning.MOST:
+        raise ConfigError(f'--effects: {len(texts)} explanations, at most {planning.MOST} are '
+                          'separated at once; name the likeliest')
     sets = []
     for text in texts:
         one = set()

@@ -19,30 +19,18 @@ _LABELS = ('phase', 'joint', 'step')
 def read_recording(path, joints: Sequence[str] | None = None, motors: Sequence[str] | None = None,
                    *, topics: Topics | None = None) -> Recording:
     """
-    Read one experiment from a bag of `ros2 bag record` or of this package.
+    Read one experiment from a bag of `ros2 bag record` or of this package, sampled at its states.
 
-    Parameters
-    ----------
-    path : str or Path
-        Bag folder or file: mcap or sqlite3, plain or zstd, also one cut off.
-    joints : sequence of str, optional
-        Link names in the order of the command; by default those of the first joint state that are
-        not the motor of another, in its order.
-    motors : sequence of str, optional
-        Motor name of each joint, '' where there is no motor side; by default ``<joint>_motor``
-        where the first joint state has it. A link whose motor alone is in the states has no angles
-        (NaN).
-    topics : Topics, optional
-        Topic names; by default those of our nodes, in the namespace they were recorded in.
+    ``path`` is a bag folder or file: mcap or sqlite3, plain or zstd, also one cut off. ``joints``
+    are link names in the order of the command, by default those of the first joint state that are
+    not the motor of another; ``motors`` that of each joint, '' where there is none, by default
+    ``<joint>_motor`` where the states have it. ``topics`` are by default those of our nodes, in
+    the namespace they were recorded in.
 
-    Returns
-    -------
-    Recording
-        Sampled at the joint states; the command of a state is the one that carries its stamp, the
-        reference that of the same time. What recording.yaml beside the bag states is applied.
-        BagError if the bag lacks the joint states, a joint or a length that fits; BagWarning if
-        it was cut off, is damaged or otherwise odd.
-
+    The command of a state is the one that carries its stamp, the reference that of the same time;
+    a link whose motor alone is in the states has no angles (NaN). What recording.yaml beside the
+    bag states is applied. BagError if the bag lacks the joint states, a joint or a length that
+    fits; BagWarning if it was cut off, is damaged or otherwise odd.
     """
     return _read(path, joints, motors, topics)[0]
 

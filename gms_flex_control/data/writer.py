@@ -223,26 +223,11 @@ def write_recording(path, recording: Recording, motors: Sequence[str] | None = N
     """
     Write a recording as a bag, whole or not at all; receive times are the stamps themselves.
 
-    Parameters
-    ----------
-    path : str or Path
-        The folder to be made; BagError if it exists or the disk refuses.
-    recording : Recording
-        What to write; a topic all of whose values are NaN is left out.
-    motors : sequence of str, optional
-        Motor name of each joint, '' for a rigid one; by default ``<joint>_motor`` for the joints
-        whose motor angle is known.
-    topics : Topics, optional
-        Topic names.
-    start : int, optional
-        Stamp of the first sample [ns].
-    source : str, optional
-        Who answers, in the label of each command.
-    custom : dict of str, optional
-        Remarks kept in the metadata.
-    phases : sequence of Phase, optional
-        What an identification experiment was doing.
-
+    ``path`` is the folder to be made; a topic all of whose values are NaN is left out. ``motors``
+    has the motor name of each joint, '' for a rigid one, by default ``<joint>_motor`` where the
+    motor angle is known. ``start`` is the stamp of the first sample [ns], ``source`` who answers,
+    in the label of each command, ``custom`` remarks kept in the metadata, ``phases`` what an
+    identification experiment was doing. BagError if the folder exists or the disk refuses.
     """
     topics = topics or Topics()
     stamps = start + np.rint(np.asarray(recording.time) * 1e9).astype(np.int64)

@@ -13,6 +13,7 @@ import warnings
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.key import (
     freeze_arrays,
+    keys_of,
     number,
     require_finite,
     require_shape,
@@ -64,32 +65,15 @@ class Frames:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmParams:
     """
-    Rigid-body and joint parameters of n joints.
+    Rigid-body and joint parameters of n joints, each (n_joints,).
 
-    Parameters
-    ----------
-    kind : {'planar', 'decoupled', 'urdf'}
-        A chain of links in one plane, axes that do not act on each other, or a chain in space.
-    mass, length, com, inertia, motor_inertia, stiffness, damping, offset : ndarray, (n_joints,)
-        Of each link and joint, as described below. In space ``com`` is (n_joints, 3) and
-        ``inertia`` (n_joints, 3, 3), in the frame of the link, which lies at its joint;
-        ``length`` is 0. A joint of infinite stiffness has no motor side of its own.
-    gravity : ndarray, shape (2,) or float
-        Gravity in the plane (x, y) [m/s^2]; a number g stands for (0, -g). 0 is a horizontal
-        plane. In space, shape (3,), in the frame of the base.
-    axes : {'rotary', 'linear'}
-        What decoupled axes are; of linear ones m stands for rad, N for N m, kg for kg m^2.
-    frames : Frames, optional
-        Of a chain in space.
-
-    Raises
-    ------
-    ParameterError
-        If a value is not finite, negative where it must not be, or the arm has no inertia.
-
+    In space ``com`` is (n_joints, 3) and ``inertia`` (n_joints, 3, 3), in the frame of the link,
+    which lies at its joint; ``length`` is 0. A joint of infinite stiffness has no motor side of
+    its own. ParameterError if a value is not finite, negative where it must not be, or the arm has
+    no inertia.
     """
 
-    kind: str
+    kind: str  # of KINDS: links in one plane, axes that do not act on each other, chain in space
     mass: np.ndarray = number('mass of the link', 'kg', 0.0, 0.0)
     length: np.ndarray = number('distance to the next joint', 'm', 0.0, 0.0)
     com: np.ndarray = number('centre of mass from the joint', 'm', 0.0)
@@ -103,9 +87,9 @@ class ArmParams:
     offset: np.ndarray | None = number(
         'angle of the link where the joint reads 0, from the x axis or the link before it', 'rad',
         0.0, default=None)
-    gravity: np.ndarray = 0.0
-    axes: str = 'rotary'
-    frames: Frames | None = None
+    gravity: np.ndarray = 0.0  # (x, y) [m/s^2], g stands for (0, -g); (3,) of the base in space
+    axes: str = 'rotary'       # of linear ones m stands for rad, N for N m, kg for kg m^2
+    frames: Frames | None = None  # of a chain in space
 
     def __post_init__(self):
         if self.kind not in KINDS:
@@ -128,14 +112,14 @@ class ArmParams:
             object.__setattr__(self, 'gravity', np.array([0.0, -float(self.gravity)]))
         n, space = self.stiffness.shape, () if self.frames is None else (3,)
         require_shape('gravity', self.gravity, space or (2,))
-        for name in ('mass', 'length', 'motor_inertia', 'damping', 'offset'):
-            require_shape(name, getattr(self, name), n)
-        require_shape('com', self.com, n + space)
-        require_shape('inertia', self.inertia, n + 2 * space)
-        for name in ('mass', 'length', 'motor_inertia', 'damping'):
-            require_finite(name, getattr(self, name), at_least=0.0)
-        for name in ('gravity', 'com', 'offset', 'inertia'):
-            require_finite(name, getattr(self, name))
+        require_finite('gravity', self.gravity)
+        shapes = {'com': n + space, 'inertia': n + 2 * space}
+        for key in keys_of(ArmParams):
+            value = getattr(self, key.name)
+            require_shape(key.name, value, shapes.get(key.name, n))
+            if key.name != 'stiffness':  # that of a rigid joint is infinite
+                signed = key.lower < 0.0 or key.name == 'inertia'
+                require_finite(key.name, value, at_least=None if signed else 0.0)
         self._require_motors()
         if self.frames is None:
             require_finite('inertia', self.inertia, at_least=0.0)

@@ -9,29 +9,8 @@ from textwrap import fill
 
 from gms_flex_control.answer import align, Answer, command, measured, Number
 from gms_flex_control.data.conditions import file_of
-from gms_flex_control.discrepancy.describe import (
-    angle_scale,
-    of_joints,
-    of_not_added,
-    of_unexplained,
-    Scale,
-    torque_scale,
-    value_words,
-)
-from gms_flex_control.identification.outcome import (
-    data_sentence,
-    DOUBTFUL,
-    floor_shares,
-    JointResult,
-    NOT_IDENTIFIABLE,
-    notes,
-    number,
-    percent,
-    SET,
-    short_name,
-    span,
-    standing,
-)
+from gms_flex_control.discrepancy import describe
+from gms_flex_control.identification import outcome
 from gms_flex_control.identification.output import condition_files
 import numpy as np
 
@@ -47,7 +26,7 @@ _CHANGED = 0.02       # share of an error that is worth a word
 
 def identification_text(identification) -> str:
     """Return an identification as lines of text."""
-    blocks = [_wrapped(f'{data_sentence(identification)}; fitted in '
+    blocks = [_wrapped(f'{outcome.data_sentence(identification)}; fitted in '
                        f'{identification.seconds:.1f} s')]
     blocks += [_wrapped(f'warning: {text}') for text in identification.warnings]
     blocks += [_joint_text(result) for result in identification.joints]
@@ -61,19 +40,21 @@ def _parameter_rows(result):
     header = ('parameter', 'unit', 'value', '95 % interval', 'to be noted')
     rows = []
     for estimate in result.estimates:
-        lost = standing(estimate) == NOT_IDENTIFIABLE
-        value, interval = number(estimate.value), span(estimate.interval)
-        rows.append((short_name(estimate.name, result.joint), estimate.unit,
+        lost = outcome.standing(estimate) == outcome.NOT_IDENTIFIABLE
+        value, interval = outcome.number(estimate.value), outcome.span(estimate.interval)
+        rows.append((outcome.short_name(estimate.name, result.joint), estimate.unit,
                      f'({value})' if lost else value, interval, _remark(estimate)))
     return header, rows
 
 
 def _remark(estimate):
-    if standing(estimate) == NOT_IDENTIFIABLE:
+    if outcome.standing(estimate) == outcome.NOT_IDENTIFIABLE:
         return 'NOT IDENTIFIABLE'
     if len(estimate.flags) > 1:
         return f'{estimate.flags[0]}, +{len(estimate.flags) - 1}'
-    return estimate.flags[0] if estimate.flags else SET if standing(estimate) == SET else ''
+    if estimate.flags:
+        return estimate.flags[0]
+    return outcome.SET if outcome.standing(estimate) == outcome.SET else ''
 
 
 def held_out_rows(results) -> tuple:
@@ -83,11 +64,11 @@ def held_out_rows(results) -> tuple:
     rows = []
     for result in results:
         errors = result.held_out
-        noise, repeat = floor_shares(errors)
-        rows.append((_clipped(result.joint), *(number(100 * share, 3) for share in (
+        noise, repeat = outcome.floor_shares(errors)
+        rows.append((_clipped(result.joint), *(outcome.number(100 * share, 3) for share in (
             errors.relative, errors.coulomb_viscous, noise, repeat)),
-            number(1e3 * errors.free_run_rms, 3),
-            number(1e3 * errors.free_run_coulomb_viscous, 3)))
+            outcome.number(1e3 * errors.free_run_rms, 3),
+            outcome.number(1e3 * errors.free_run_coulomb_viscous, 3)))
     return header, rows
 
 
@@ -97,7 +78,7 @@ def _joint_text(result):
     source = {'spring': 'the spring', 'motor': 'the motor torque'}.get(result.side, result.side)
     lines = [f'{_clipped(result.joint)}: friction torque by {source}{chosen}',
              align(*_parameter_rows(result))]
-    lines += [_wrapped(f'- {note}') for note in notes(result)]
+    lines += [_wrapped(f'- {note}') for note in outcome.notes(result)]
     lines += [_wrapped(f'warning: {text}') for text in result.warnings]
     return '\n'.join(lines)
 
@@ -118,14 +99,15 @@ def identification_answer(identification, folder, robot=()) -> Answer:
     reading = 2.0 * np.pi / counts / np.sqrt(12.0) if counts > 0.0 else errors.innovation_rms
     numbers = [
         measured(f'torque error of {joint} [% of the drive torque]', errors.coulomb_viscous,
-                 errors.relative, np.fmax(*floor_shares(errors)), scale=100.0),
+                 errors.relative, np.fmax(*outcome.floor_shares(errors)), scale=100.0),
         measured(f'error of free runs of {joint} [mrad]', errors.free_run_coulomb_viscous,
                  errors.free_run_rms, reading)]
-    known = next((one for one in worst.estimates if standing(one) in _KNOWN), None)
+    known = next((one for one in worst.estimates if outcome.standing(one) in _KNOWN), None)
     if known is not None:
         low, high = known.interval
-        numbers.append(measured(f'{short_name(known.name, joint)} of {joint} [{known.unit}]', None,
-                                known.value, 0.5 * (high - low), scale=1.0))
+        numbers.append(measured(
+            f'{outcome.short_name(known.name, joint)} of {joint} [{known.unit}]', None,
+            known.value, 0.5 * (high - low), scale=1.0))
     files = robot or (('robot.yaml',) if identification.described else ())
     copies = [shlex.join(['cp', str(path), str(file_of(identification.sources[r]))])
               for r, path in condition_files(identification, folder).items()]
@@ -136,16 +118,17 @@ def identification_answer(identification, folder, robot=()) -> Answer:
                       folder / 'friction.yaml', '--out', folder / 'gap')]))
 
 
-def worst_joint(identification) -> JointResult:
+def worst_joint(identification) -> outcome.JointResult:
     """Return the joint whose torque is predicted worst."""
     return max(identification.joints, key=lambda result: np.nan_to_num(result.held_out.relative))
 
 
 def _identified(identification, worst):
     errors = worst.held_out
-    standings = [standing(one) for result in identification.joints for one in result.estimates]
+    standings = [outcome.standing(one) for result in identification.joints
+                 for one in result.estimates]
     found, fitted = (len(standings) - sum(map(standings.count, those)) for those in (
-        (NOT_IDENTIFIABLE, DOUBTFUL, SET), (SET,)))
+        (outcome.NOT_IDENTIFIABLE, outcome.DOUBTFUL, outcome.SET), (outcome.SET,)))
     known = (f'{found} of {fitted} parameters {"is" if found == 1 else "are"} identified'
              if found < fitted else
              f'all {fitted} parameters are identified')
@@ -153,10 +136,11 @@ def _identified(identification, worst):
         return f'{known.capitalize()}, but no held-out data check them.'
     simple = ('no better than Coulomb + viscous friction alone' if errors.relative
               >= errors.coulomb_viscous else 'Coulomb + viscous friction alone to '
-              + percent(errors.coulomb_viscous))
+              + outcome.percent(errors.coulomb_viscous))
     return ('On motion left out of the fit, the identified friction predicts the torque of '
-            f'{worst.joint}, the worst joint, to {percent(errors.relative)}, {simple}; {known}. '
-            'The noise floor is what the readings alone, or the repeated motion, would leave.')
+            f'{worst.joint}, the worst joint, to {outcome.percent(errors.relative)}, {simple}; '
+            f'{known}. The noise floor is what the readings alone, or the repeated motion, would '
+            'leave.')
 
 
 def discrepancy_answer(result, folder) -> Answer:
@@ -179,7 +163,7 @@ def discrepancy_answer(result, folder) -> Answer:
 
 def gap_numbers(gap) -> tuple:
     """Return Numbers of residual torque and of free-run error, the largest change first."""
-    torque, angle = torque_scale(gap.retuned), angle_scale(gap.free_before)
+    torque, angle = describe.torque_scale(gap.retuned), describe.angle_scale(gap.free_before)
     return tuple([
         Number(f'{name} of {gap.joints[j]} [{scale.unit}]', *(
             scale.text(values[j]) for values in (without, found, floor)))
@@ -195,8 +179,9 @@ def _values(result):
         return []
     first, numbers = result.added[0], []
     for value in first.values:
-        scale = (angle_scale(value.value) if value.unit == 'rad' else torque_scale(value.value)
-                 if value.unit == 'N m' else Scale(value.unit, 1.0))
+        scale = (describe.angle_scale(value.value) if value.unit == 'rad' else
+                 describe.torque_scale(value.value) if value.unit == 'N m' else
+                 describe.Scale(value.unit, 1.0))
         numbers.append(Number(
             f'{value.name} of {first.effect}' + ('' if scale.unit == '1' else f' [{scale.unit}]'),
             '-', *map(scale.text, (value.value, 0.5 * (value.high - value.low)))))
@@ -207,11 +192,11 @@ def _lacking(result):
     if not result.added:
         left = result.unexplained
         return ' '.join(filter(None, (
-            of_not_added(result), left and 'Something is missing that no effect of the catalogue '
-            f'explains: {left.sentence}'))) or _complete(result.gap)
+            describe.of_not_added(result), left and 'Something is missing that no effect of the '
+            f'catalogue explains: {left.sentence}'))) or _complete(result.gap)
     effects = ' and '.join(
-        f'{one.effect} of {one.joint} ({value_words(one)}'
-        + (f'; indistinguishable here from {of_joints(one.indistinguishable_from)})'
+        f'{one.effect} of {one.joint} ({describe.value_words(one)}'
+        + (f'; indistinguishable here from {describe.of_joints(one.indistinguishable_from)})'
            if one.indistinguishable_from else ')') for one in result.added)
     gap = result.gap.of_joints({one.joint for one in result.added})
     changes = [_change(*figures) for figures in (
@@ -225,7 +210,7 @@ def _lacking(result):
     return ' '.join(filter(None, (
         f'The model lacks {effects}: with {found}, on held-out data, '
         f'{" and ".join(change for _, change, _ in changes)}{where} is what encoders and torque '
-        'noise alone would leave.', of_unexplained(result.unexplained))))
+        'noise alone would leave.', describe.of_unexplained(result.unexplained))))
 
 
 def _complete(gap):

@@ -5,18 +5,7 @@
 
 from pathlib import Path
 
-from gms_flex_control.identification.outcome import (
-    data_sentence,
-    joint_sentences,
-    NOT_IDENTIFIABLE,
-    notes,
-    number,
-    short_label,
-    short_name,
-    span,
-    standing,
-    STANDINGS,
-)
+from gms_flex_control.identification import outcome
 from gms_flex_control.reports.answers import held_out_rows, identification_answer, worst_joint
 from gms_flex_control.reports.figure_style import free_path, save_figure
 from gms_flex_control.reports.page import decimate, Report, Series
@@ -38,7 +27,8 @@ def write_identification_report(identification, folder, *, robot=()) -> list:
     """
     folder, words = Path(folder), identification.in_units
     answer = identification_answer(identification, folder, robot)
-    report = Report('Friction identification', answer, data_sentence(identification), words)
+    report = Report('Friction identification', answer, outcome.data_sentence(identification),
+                    words)
     worst, paths, used = worst_joint(identification), [], set()
     shown = [(map_figure(result), loops_figure(result)) for result in identification.joints]
     for figures, result in zip(shown, identification.joints, strict=True):
@@ -63,17 +53,17 @@ def _add_summary(report, identification):
         report.note(text, warning=True)
     rows = []
     for result in identification.joints:
-        counts = [sum(standing(estimate) == kind for estimate in result.estimates)
-                  for kind in STANDINGS]
+        counts = [sum(outcome.standing(estimate) == kind for estimate in result.estimates)
+                  for kind in outcome.STANDINGS]
         rows.append((result.joint, *counts))
-    report.table(('joint', *STANDINGS), rows, 'Parameters by how well they are known')
+    report.table(('joint', *outcome.STANDINGS), rows, 'Parameters by how well they are known')
     report.table(*held_out_rows(identification.joints),
                  'Errors on held-out data. Torque: of the rms of the drive torque; C+v: Coulomb '
                  '+ viscous alone; noise: that of the readings; repeat: of equal motions. Free '
                  'run: rms of the angle')
     for result in identification.joints:
         report.heading(result.joint, level=3)
-        for text, warning in joint_sentences(result):
+        for text, warning in outcome.joint_sentences(result):
             (report.note(text, warning=True) if warning else report.text(text))
 
 
@@ -100,23 +90,23 @@ def _add_joint(report, result, friction_map, loops):
 
 def _add_parameters(report, result):
     report.heading(f'{result.joint}: parameters', level=3)
-    lost = [short_name(estimate.name, result.joint) for estimate in result.estimates
-            if standing(estimate) == NOT_IDENTIFIABLE]
+    lost = [outcome.short_name(estimate.name, result.joint) for estimate in result.estimates
+            if outcome.standing(estimate) == outcome.NOT_IDENTIFIABLE]
     if lost:
         report.note(f"NOT identifiable from these data: {', '.join(lost)}. Their values, in "
                     'brackets, are where the fit ended.', warning=True)
     rows = []
     for estimate in result.estimates:
-        kind = standing(estimate)
-        value = number(estimate.value, 5)
+        kind = outcome.standing(estimate)
+        value = outcome.number(estimate.value, 5)
         words = ', '.join(estimate.flags) or kind
-        rows.append((short_name(estimate.name, result.joint), _symbol(estimate.name),
-                     f'({value})' if kind == NOT_IDENTIFIABLE else value,
-                     estimate.unit, words.upper() if kind == NOT_IDENTIFIABLE else words,
-                     span(estimate.interval)))
+        rows.append((outcome.short_name(estimate.name, result.joint), _symbol(estimate.name),
+                     f'({value})' if kind == outcome.NOT_IDENTIFIABLE else value,
+                     estimate.unit, words.upper() if kind == outcome.NOT_IDENTIFIABLE else words,
+                     outcome.span(estimate.interval)))
     report.table(('parameter', 'symbol', 'estimate', 'unit', 'standing', '95 % interval'), rows,
                  'Estimates as in friction.yaml')
-    for note in notes(result):
+    for note in outcome.notes(result):
         report.note(note)
 
 
@@ -147,7 +137,7 @@ def _add_motion(report, result):
                     Series('model, held out', held, role='c1')]),
                 ('residual', 'N m', [Series('measured − model', residual, role='c1')]),
                 ('velocity', 'rad/s', [Series('link', velocity, role='c2')])):
-            report.chart(f'{short_label(trace.label)}: {name}', time, lines,
+            report.chart(f'{outcome.short_label(trace.label)}: {name}', time, lines,
                          y_label=f'{name} [{unit}]', group=group)
 
 
@@ -158,7 +148,8 @@ def _add_candidates(report, result):
     best = min(candidate.cost for candidate in result.candidates)
     report.table(('blocks N', '', 'held-out cost per sample', 'above the best',
                   'standard error of that'), [
-        (candidate.n_blocks, 'chosen' if candidate.chosen else '', number(candidate.cost, 6),
-         number(candidate.cost - best, 3), number(candidate.error, 3))
+        (candidate.n_blocks, 'chosen' if candidate.chosen else '', *(
+            outcome.number(value, digits) for value, digits in (
+                (candidate.cost, 6), (candidate.cost - best, 3), (candidate.error, 3))))
         for candidate in result.candidates],
         'The fit uses the fewest blocks that no other number beats by more than chance')
