@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 from functools import partial
 import math
 from operator import attrgetter
-import xml.etree.ElementTree as ElementTree
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Comment, SubElement
 
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
@@ -164,21 +165,20 @@ def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) ->
         EFFECTS[spec.name](joints[robot.joints.index(spec.joint)], *spec.values)
     _require_short(robot, joints, timestep)
     root = ElementTree.Element('mujoco', model='arm')
-    root.append(ElementTree.Comment(
+    root.append(Comment(
         ' Written by gms_flex export for MuJoCo 4 or later. SI units; torques of the actuators in '
         'N m. '))
-    ElementTree.SubElement(root, 'compiler', angle='radian', autolimits='true')
-    option = ElementTree.SubElement(
-        root, 'option', timestep=_text(timestep), gravity=_text(*robot.arm.gravity, 0.0),
-        integrator='implicitfast')
-    ElementTree.SubElement(option, 'flag', contact='disable')
-    classes = ElementTree.SubElement(root, 'default')
+    SubElement(root, 'compiler', angle='radian', autolimits='true')
+    option = SubElement(root, 'option', timestep=_text(timestep),
+                        gravity=_text(*robot.arm.gravity, 0.0), integrator='implicitfast')
+    SubElement(option, 'flag', contact='disable')
+    classes = SubElement(root, 'default')
     for name, clamp in _CLAMPS.items():
-        ElementTree.SubElement(ElementTree.SubElement(classes, 'default', {'class': name}),
-                               'general', forcerange=_text(*clamp))
-    world = ElementTree.SubElement(root, 'worldbody')
-    tendons = ElementTree.SubElement(root, 'tendon')
-    actuators = ElementTree.SubElement(root, 'actuator')
+        SubElement(SubElement(classes, 'default', {'class': name}), 'general',
+                   forcerange=_text(*clamp))
+    world = SubElement(root, 'worldbody')
+    tendons = SubElement(root, 'tendon')
+    actuators = SubElement(root, 'actuator')
     parent = world
     for j, joint in enumerate(joints):
         parent = _link(parent if robot.arm.kind == 'planar' else world, robot, j, joint)
@@ -236,8 +236,8 @@ def _link(parent, robot, j, joint):
     arm = robot.arm
     rigid = bool(arm.rigid[j])
     place = arm.length[j - 1] if j and arm.kind == 'planar' else 0.0
-    body = ElementTree.SubElement(parent, 'body', name=f'{robot.joints[j]}_link',
-                                  pos=_text(place, 0.0, 0.0), euler=_text(0.0, 0.0, arm.offset[j]))
+    body = SubElement(parent, 'body', name=f'{robot.joints[j]}_link', pos=_text(place, 0.0, 0.0),
+                      euler=_text(0.0, 0.0, arm.offset[j]))
     bias = 0.5 * _SIGNS @ (joint.loss + sum(levels for _, levels in joint.elements))
     moves = _moving(body, arm, robot.joints[j],
                     joint.viscous.min() + rigid * joint.motor_viscous,
@@ -247,29 +247,29 @@ def _link(parent, robot, j, joint):
         moves.set('armature', _text(arm.motor_inertia[j]))
     slides = arm.axes == 'linear'
     mass, inertia = (arm.inertia[j], 0.0) if slides else (arm.mass[j], arm.inertia[j])
-    ElementTree.SubElement(
-        body, 'inertial', pos=_text(arm.com[j], 0.0, 0.0), mass=_text(max(mass, _LEAST_MASS)),
-        diaginertia=_text(*[max(inertia, _LEAST_MASS)] * 3))
+    SubElement(body, 'inertial', pos=_text(arm.com[j], 0.0, 0.0),
+               mass=_text(max(mass, _LEAST_MASS)),
+               diaginertia=_text(*[max(inertia, _LEAST_MASS)] * 3))
     length = arm.length[j] or 2.0 * arm.com[j] or 0.2
-    ElementTree.SubElement(body, 'geom', type='capsule', size=_text(0.05 * abs(length)),
-                           fromto=_text(0.0, 0.0, 0.0, length, 0.0, 0.0), mass='0')
+    SubElement(body, 'geom', type='capsule', size=_text(0.05 * abs(length)),
+               fromto=_text(0.0, 0.0, 0.0, length, 0.0, 0.0), mass='0')
     return body
 
 
 def _motor(world, robot, j, joint):
     """Add the rotor of a flexible joint; its inertia is the armature of its own joint."""
-    body = ElementTree.SubElement(world, 'body', name=f'{robot.motors[j]}_rotor')
+    body = SubElement(world, 'body', name=f'{robot.motors[j]}_rotor')
     moves = _moving(body, robot.arm, robot.motors[j], joint.motor_viscous, joint.motor_loss,
                     joint.motor_torque)
     moves.set('armature', _text(robot.arm.motor_inertia[j]))
-    ElementTree.SubElement(body, 'inertial', pos='0 0 0', mass=_text(_LEAST_MASS),
-                           diaginertia=_text(*[_LEAST_MASS] * 3))
+    SubElement(body, 'inertial', pos='0 0 0', mass=_text(_LEAST_MASS),
+               diaginertia=_text(*[_LEAST_MASS] * 3))
 
 
 def _moving(body, arm, name, viscous, loss, torque, drag=0.0):
     """Add the hinge, of a linear axis the slide, of a body."""
     kind, axis = ('slide', '1 0 0') if arm.axes == 'linear' else ('hinge', '0 0 1')
-    joint = ElementTree.SubElement(body, 'joint', name=name, type=kind, axis=axis)
+    joint = SubElement(body, 'joint', name=name, type=kind, axis=axis)
     if viscous or drag:
         joint.set('damping', _text(viscous, *([drag] if drag else [])))
     if loss:
@@ -304,16 +304,14 @@ def _springs(tendons, robot, j, joint):
 
 
 def _tendon(tendons, name, coefficients, *stiffness, **attributes):
-    fixed = ElementTree.SubElement(tendons, 'fixed', name=name, stiffness=_text(*stiffness),
-                                   **attributes)
+    fixed = SubElement(tendons, 'fixed', name=name, stiffness=_text(*stiffness), **attributes)
     for joint, coefficient in coefficients.items():
-        ElementTree.SubElement(fixed, 'joint', joint=joint, coef=_text(coefficient))
+        SubElement(fixed, 'joint', joint=joint, coef=_text(coefficient))
 
 
 def _actuator(actuators, robot, j, joint, timestep):
     name, drive = robot.motors[j] or robot.joints[j], joint.drive
-    actuator = ElementTree.SubElement(actuators, 'general', name=name, joint=name,
-                                      gear=_text(drive.gain))
+    actuator = SubElement(actuators, 'general', name=name, joint=name, gear=_text(drive.gain))
     for attribute, limit in (('ctrlrange', drive.asked), ('forcerange', drive.given)):
         if limit < math.inf:
             actuator.set(attribute, _text(-limit, limit))
@@ -341,9 +339,8 @@ def _passive(actuators, robot, j, joint):
 
 
 def _dc_motor(actuators, name, joint, motorconst=0.0, **attributes):
-    return ElementTree.SubElement(
-        actuators, 'dcmotor', name=name, joint=joint, input='none', resistance='1',
-        motorconst=_text(motorconst), **attributes)
+    return SubElement(actuators, 'dcmotor', name=name, joint=joint, input='none', resistance='1',
+                      motorconst=_text(motorconst), **attributes)
 
 
 def _text(*numbers):

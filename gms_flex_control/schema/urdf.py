@@ -3,7 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A robot as URDF: links, motors and inertias, for robot_state_publisher, RViz and simulators."""
 
-import xml.etree.ElementTree as ElementTree
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Comment, SubElement
 
 from gms_flex_control.hardware.limits import UNLIMITED
 import numpy as np
@@ -38,14 +39,13 @@ def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin='') -> str
     if robot.arm.frames is not None:
         return _with_friction(robot)
     root = ElementTree.Element('robot', name=name)
-    root.append(ElementTree.Comment(_NOTE.format(
+    root.append(Comment(_NOTE.format(
         gravity=' '.join(f'{value + 0.0:g}' for value in robot.arm.gravity),
         motors=_WITH_MOTORS if motors else _WITHOUT_MOTORS)))
     for material, colour in _COLOURS.items():
-        ElementTree.SubElement(ElementTree.SubElement(root, 'material', name=material), 'color',
-                               rgba=colour)
+        SubElement(SubElement(root, 'material', name=material), 'color', rgba=colour)
     size = _sizes(robot.arm)
-    base = ElementTree.SubElement(root, 'link', name=BASE)
+    base = SubElement(root, 'link', name=BASE)
     _visual(base, 'base', _cylinder(0.3 * size[0], 0.02), (0.0, 0.0, -0.03))
     for j in range(robot.n_joints):
         _add_link(root, robot, j, size)
@@ -78,9 +78,8 @@ def _with_friction(robot):
 def _dynamics(joint, robot, j):
     """Write the mean friction of both directions."""
     forward, backward = robot.friction.forward, robot.friction.backward
-    ElementTree.SubElement(
-        joint, 'dynamics', damping=_text((forward.viscous[j] + backward.viscous[j]) / 2),
-        friction=_text((forward.coulomb[j] + backward.coulomb[j]) / 2))
+    SubElement(joint, 'dynamics', damping=_text((forward.viscous[j] + backward.viscous[j]) / 2),
+               friction=_text((forward.coulomb[j] + backward.coulomb[j]) / 2))
 
 
 def _sizes(arm):
@@ -105,7 +104,7 @@ def _link_name(robot, j):
 def _add_link(root, robot, j, size):
     arm = robot.arm
     parent, place = _frame(robot, j, size)
-    link = ElementTree.SubElement(root, 'link', name=_link_name(robot, j))
+    link = SubElement(root, 'link', name=_link_name(robot, j))
     _visual(link, 'link', {'box': {'size': _text(size[j], 0.12 * size[j], 0.02)}},
             (0.5 * size[j], 0.0, 0.0))
     inertia = arm.inertia[j]
@@ -115,7 +114,7 @@ def _add_link(root, robot, j, size):
         _inertial(link, arm.mass[j], arm.com[j], (_ROD * inertia, inertia, inertia))
     joint = _joint(root, arm, j, robot.joints[j], parent, _link_name(robot, j), place)
     if arm.rigid[j] and arm.motor_inertia[j] > 0.0:
-        joint.append(ElementTree.Comment(
+        joint.append(Comment(
             f' rigid joint: motor inertia {arm.motor_inertia[j]:g} kg m^2 comes on top '))
     _dynamics(joint, robot, j)
 
@@ -123,14 +122,14 @@ def _add_link(root, robot, j, size):
 def _add_motor(root, robot, j, size):
     arm, motor = robot.arm, robot.motors[j]
     parent, place = _frame(robot, j, size)
-    rotor = ElementTree.SubElement(root, 'link', name=f'{motor}_link')
+    rotor = SubElement(root, 'link', name=f'{motor}_link')
     _visual(rotor, 'motor', _cylinder(0.12 * size[j], 0.03), (0.0, 0.0, 0.03))
     _visual(rotor, 'motor', {'box': {'size': _text(0.3 * size[j], 0.02, 0.01)}},
             (0.15 * size[j], 0.0, 0.05))
     slides, inertia = arm.axes == 'linear', arm.motor_inertia[j]
     _inertial(rotor, slides * inertia, 0.0, ((not slides) * inertia,) * 3)
     joint = _joint(root, arm, j, motor, parent, f'{motor}_link', place)
-    joint.append(ElementTree.Comment(
+    joint.append(Comment(
         f' spring to its link: {arm.stiffness[j]:g} N m/rad, {arm.damping[j]:g} N m s/rad '))
 
 
@@ -154,30 +153,29 @@ def _limit(root, robot, limits):
 
 def _add_ros2_control(root, robot, name, motors, plugin):
     """Say which joints take efforts and what is measured of each, as ros2_control reads it."""
-    system = ElementTree.SubElement(root, 'ros2_control', name=name, type='system')
-    hardware = ElementTree.SubElement(system, 'hardware')
-    ElementTree.SubElement(hardware, 'plugin').text = plugin
+    system = SubElement(root, 'ros2_control', name=name, type='system')
+    hardware = SubElement(system, 'hardware')
+    SubElement(hardware, 'plugin').text = plugin
     driven = [motor if motors and motor else joint
               for joint, motor in zip(robot.joints, robot.motors, strict=True)]
     for called in dict.fromkeys([*robot.joints, *driven]):
-        joint = ElementTree.SubElement(system, 'joint', name=called)
+        joint = SubElement(system, 'joint', name=called)
         if called in driven:
-            ElementTree.SubElement(joint, 'command_interface', name='effort')
+            SubElement(joint, 'command_interface', name='effort')
         for what in ('position', 'velocity', *(['effort'] if called in driven else [])):
-            ElementTree.SubElement(joint, 'state_interface', name=what)
+            SubElement(joint, 'state_interface', name=what)
 
 
 def _joint(root, arm, j, name, parent, child, place):
     slides = arm.axes == 'linear'
-    joint = ElementTree.SubElement(root, 'joint', name=name,
-                                   type='prismatic' if slides else 'continuous')
-    ElementTree.SubElement(joint, 'parent', link=parent)
-    ElementTree.SubElement(joint, 'child', link=child)
+    joint = SubElement(root, 'joint', name=name, type='prismatic' if slides else 'continuous')
+    SubElement(joint, 'parent', link=parent)
+    SubElement(joint, 'child', link=child)
     angle = 0.0 if slides else arm.offset[j]
-    ElementTree.SubElement(joint, 'origin', xyz=_text(*place), rpy=_text(0.0, 0.0, angle))
-    ElementTree.SubElement(joint, 'axis', xyz='1 0 0' if slides else '0 0 1')
+    SubElement(joint, 'origin', xyz=_text(*place), rpy=_text(0.0, 0.0, angle))
+    SubElement(joint, 'axis', xyz='1 0 0' if slides else '0 0 1')
     if slides:  # URDF wants them
-        ElementTree.SubElement(joint, 'limit', _range(-UNLIMITED, UNLIMITED) | dict.fromkeys(
+        SubElement(joint, 'limit', _range(-UNLIMITED, UNLIMITED) | dict.fromkeys(
             ('effort', 'velocity'), _text(UNLIMITED)))
     return joint
 
@@ -187,20 +185,19 @@ def _range(lower, upper):
 
 
 def _inertial(link, mass, com, diagonal):
-    inertial = ElementTree.SubElement(link, 'inertial')
-    ElementTree.SubElement(inertial, 'origin', xyz=_text(com, 0.0, 0.0))
-    ElementTree.SubElement(inertial, 'mass', value=_text(max(mass, _LEAST_MASS)))
+    inertial = SubElement(link, 'inertial')
+    SubElement(inertial, 'origin', xyz=_text(com, 0.0, 0.0))
+    SubElement(inertial, 'mass', value=_text(max(mass, _LEAST_MASS)))
     ixx, iyy, izz = (_text(max(value, 1e-12)) for value in diagonal)
-    ElementTree.SubElement(inertial, 'inertia', ixx=ixx, ixy='0', ixz='0', iyy=iyy, iyz='0',
-                           izz=izz)
+    SubElement(inertial, 'inertia', ixx=ixx, ixy='0', ixz='0', iyy=iyy, iyz='0', izz=izz)
 
 
 def _visual(link, material, geometry, place):
-    visual = ElementTree.SubElement(link, 'visual')
-    ElementTree.SubElement(visual, 'origin', xyz=_text(*place))
+    visual = SubElement(link, 'visual')
+    SubElement(visual, 'origin', xyz=_text(*place))
     (shape, attributes), = geometry.items()
-    ElementTree.SubElement(ElementTree.SubElement(visual, 'geometry'), shape, attributes)
-    ElementTree.SubElement(visual, 'material', name=material)
+    SubElement(SubElement(visual, 'geometry'), shape, attributes)
+    SubElement(visual, 'material', name=material)
 
 
 def _cylinder(radius, length):
