@@ -28,7 +28,8 @@ def write_bag(path, chunk_size=4000):
     with BagWriter(path, types,
                    chunk_size=chunk_size, flush_period=10.0) as writer:
         for k in range(COUNT):
-            writer.write('/joint_states', k, cdr.pack_joint_state(['a'], k * 10**6, [k]))
+            writer.write('/joint_states', k, cdr.pack_joint_states(
+                ['a'], [k * 10**6], [[k]])[0])
             if k % 3 == 0:
                 writer.write('/clock', k, struct.pack('<4siI', cdr.LITTLE_ENDIAN, k, 0))
     return path / f'{path.name}_0.mcap'

@@ -43,7 +43,8 @@ def state(k, names=('a', 'b', 'b_motor'), stamp=None):
     """Return state ``k``: position tells name and sample."""
     stamp = k * PERIOD if stamp is None else stamp
     values = [100 * ord(name[0]) + (50 if name.endswith('motor') else 0) + k for name in names]
-    return stamp, cdr.pack_joint_state(names, stamp, values, None, [-v for v in values])
+    return stamp, cdr.pack_joint_states(
+        names, [stamp], [values], None, [[-v for v in values]])[0]
 
 
 def make_recording(samples=40):
@@ -170,7 +171,8 @@ def test_one_joint_of_a_bag_has_its_own_columns_of_commands_and_references(tmp_p
 
 def test_states_of_other_machines_on_the_same_topic_are_passed_over(tmp_path):
     states = [state(k) for k in range(20)]
-    other = [(k * PERIOD + 5, cdr.pack_joint_state(['gripper'], k * PERIOD + 5, [1.0]))
+    other = [(k * PERIOD + 5, cdr.pack_joint_states(
+        ['gripper'], [k * PERIOD + 5], [[1.0]])[0])
              for k in range(20)]
     mixed = [row for pair in zip(states, other, strict=True) for row in pair]
     recording = read_recording(write_bag(tmp_path / 'bag', mixed))
@@ -344,7 +346,8 @@ def written(path, messages, kind=cdr.MULTI_ARRAY):
     with BagWriter(path, {STATES: cdr.JOINT_STATE, cdr.PHASE_TOPIC: kind}) as writer:
         for k in range(5):
             stamp = 5_000_000_000 + k * 2_000_000
-            writer.write(STATES, 10 + k, cdr.pack_joint_state(('a',), stamp, (0.0,)))
+            writer.write(STATES, 10 + k, cdr.pack_joint_states(
+                ('a',), [stamp], [[0.0]])[0])
         for data in messages:
             writer.write(cdr.PHASE_TOPIC, 20, data)
     return path
@@ -389,7 +392,7 @@ def test_a_recording_made_in_a_namespace_is_found(tmp_path):
         with BagWriter(path, topics) as writer:
             for k in range(5):
                 stamp = 5_000_000_000 + k * 2_000_000
-                state = cdr.pack_joint_state(('a',), stamp, (0.1 * k,), (0.0,))
+                state = cdr.pack_joint_states(('a',), [stamp], [[0.1 * k]], [[0.0]])[0]
                 writer.write(next(iter(topics)), 10 + k, state)
             writer.write(list(topics)[1], 20, packed(5_002_000_000, 'idle', '', '', 0.0))
         return path

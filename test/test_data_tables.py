@@ -72,8 +72,8 @@ def test_rows_tell_the_message_where_others_are_left_out():
     table = JointTable(('a',), ('effort',))
     for k in range(0, 40, 4):
         names = [('a', 'b') if j % 3 else ('c',) for j in range(k, k + 4)]
-        table.add(range(k, k + 4), [cdr.pack_joint_state(
-            name, j, [j] * len(name), None, [2 * j] * len(name))
+        table.add(range(k, k + 4), [cdr.pack_joint_states(
+            name, [j], [[j] * len(name)], None, [[2 * j] * len(name)])[0]
             for j, name in enumerate(names, k)])
     rows = [j for j in range(40) if j % 3]
     np.testing.assert_array_equal(table.take('rows'), rows)

@@ -41,8 +41,8 @@ def write_three_topics(path, count=50, **options):
         for k, row in enumerate(values):
             time = 10**18 + k * 2_000_000
             for topic, data in (
-                    ('/joint_states', cdr.pack_joint_state(
-                        NAMES, time, row, row + 1, row * 2)),
+                    ('/joint_states', cdr.pack_joint_states(
+                        NAMES, [time], [row], [row + 1], [row * 2])[0]),
                     ('/commands', cdr.pack_command(row[:2].tolist(), time, 'test')),
                     ('/clock', pack_clock(time))):
                 writer.write(topic, time, data)
@@ -101,7 +101,8 @@ def read_by_others(data, type_name):
 @pytest.mark.parametrize('effort', [None, [5.0, -0.0, np.inf]])
 @pytest.mark.parametrize('stamp', [0, 1_795_232_912_665_209_941])
 def test_a_packed_joint_state_is_what_two_other_libraries_read(stamp, velocity, effort):
-    data = cdr.pack_joint_state(NAMES, stamp, [1.0, 2.0, np.pi], velocity, effort)
+    data = cdr.pack_joint_states(NAMES, [stamp], [[1.0, 2.0, np.pi]], velocity and [velocity],
+                                 effort and [effort])[0]
     decoded, written = read_by_others(data, cdr.JOINT_STATE)
     for message in decoded:
         assert (message.header.stamp.sec, message.header.stamp.nanosec) == divmod(stamp, 10**9)

@@ -140,12 +140,6 @@ def pack_joint_states(names, stamps, position, velocity=None, effort=None) -> li
     return [raw[k:k + size] for k in range(0, len(raw), size)]
 
 
-def pack_joint_state(names, stamp, position, velocity=None, effort=None) -> bytes:
-    """Pack one JointState; as :func:`pack_joint_states` with one stamp and flat arrays."""
-    rows = [None if values is None else [values] for values in (position, velocity, effort)]
-    return pack_joint_states(names, [stamp], *rows)[0]
-
-
 @lru_cache(maxsize=512)
 def _multi_array_struct(label_sizes, count):
     form, at = ['<4sI'], 4

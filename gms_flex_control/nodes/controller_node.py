@@ -14,7 +14,7 @@ from gms_flex_control.nodes.health import Health, trigger, WARN
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
-from gms_flex_control.schema.keys import controller_keys, controller_node_keys, robot_keys
+from gms_flex_control.schema.keys import controller_keys, CONTROLLER_NODE, robot_keys
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -120,7 +120,7 @@ class ControllerNode(Node):
                          automatically_declare_parameters_from_overrides=True, **kwargs)
         self.direct = direct or Direct()
         parameters = NodeParameters(self, lambda joints: (
-            *robot_keys(joints), *controller_keys(joints), *controller_node_keys()))
+            *robot_keys(joints), *controller_keys(joints), *CONTROLLER_NODE))
         values, joints = parameters.values, parameters.joints
         self._robot = robot = robot_from_values(values)
         gains = controller_from_values(values, joints)

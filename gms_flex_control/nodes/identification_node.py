@@ -27,7 +27,7 @@ from gms_flex_control.schema.files import save_robot
 from gms_flex_control.schema.keys import (
     controller_keys,
     identification_keys,
-    identification_node_keys,
+    IDENTIFICATION_NODE,
     robot_keys,
 )
 from rclpy.node import Node
@@ -112,7 +112,7 @@ class IdentificationNode(Node):
                          **kwargs)
         parameters = NodeParameters(self, lambda joints: (
             *robot_keys(joints), *controller_keys(joints), *identification_keys(joints),
-            *identification_node_keys()))
+            *IDENTIFICATION_NODE))
         self._values = values = parameters.values
         joints = parameters.joints
         robot = robot_from_values(values)

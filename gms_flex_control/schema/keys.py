@@ -30,7 +30,8 @@ MODE = Key('mode', 'paced by the clock, or each sample waits for its command', d
            choices=('realtime', 'lockstep'))
 PRIORITY = Key('realtime_priority', 'of the whole process, SCHED_FIFO of Linux where it is '
                'permitted; 0 for none', '', 0, 0, 99)
-_CONTROLLER = (
+CONTROLLER_NODE = (  # beyond robot and gains
+    MODE, PRIORITY,
     Key('reference_timeout', 'age of a reference that is still followed', 's', 0.1, 1e-3, 10.0),
     Key('reference_hold', 'how long a lost motion is braked and held', 's', 2.0, 0.0, 1e7),
     Key('reference_relax', 'in what time the torque then goes to zero', 's', 1.0, 0.0, 1e4),
@@ -161,8 +162,7 @@ _IDENTIFIED = (
     Key('fastest', 'constant velocity; 0 takes 0.9 of the limit', 'rad/s', 0.0, 0.0),
     Key('static', 'expected F_s; 0 takes that of the robot file', 'N m', 0.0, 0.0),
     Key('stribeck_velocity', 'expected v_s; 0 takes that of the robot file', 'rad/s', 0.0, 0.0))
-# below identification
-_EXPERIMENT_NODE = (
+IDENTIFICATION_NODE = (MODE, *below('identification', (  # beyond robot, gains and experiment
     Key('bag', 'recording to be made', default='identification'),
     Key('autostart', 'begin as soon as all nodes are there', default=True),
     Key('fit', 'fit the friction when the last step is finished, into a folder beside the bag',
@@ -172,12 +172,7 @@ _EXPERIMENT_NODE = (
     Key('plant_node', 'name of the plant; in lockstep it pauses while results are computed',
         default='plant'),
     Key('patience', 'for the other nodes to come', 's', 60.0, 0.1, 1e5),
-    Key('silence', 'of states or commands that ends the experiment', 's', 3.0, 0.1, 1e4))
-
-
-def controller_node_keys() -> tuple[Key, ...]:
-    """Return the keys of the controller node beyond robot and gains."""
-    return (MODE, PRIORITY, *_CONTROLLER)
+    Key('silence', 'of states or commands that ends the experiment', 's', 3.0, 0.1, 1e4))))
 
 
 def plant_node_keys(joints) -> tuple[Key, ...]:
@@ -215,15 +210,10 @@ def identification_keys(joints) -> tuple[Key, ...]:
             *_of_each(joints, 'identification', _IDENTIFIED))
 
 
-def identification_node_keys() -> tuple[Key, ...]:
-    """Return the keys of the identification node beyond robot, gains and experiment."""
-    return (MODE, *below('identification', _EXPERIMENT_NODE))
-
-
 def all_node_keys(joints) -> tuple[Key, ...]:
     """Return the keys of all nodes beyond robot and gains."""
-    return (*controller_node_keys(), *plant_node_keys(joints), *trajectory_keys(joints),
-            *identification_keys(joints), *identification_node_keys(), *safety_keys(joints),
+    return (*CONTROLLER_NODE, *plant_node_keys(joints), *trajectory_keys(joints),
+            *identification_keys(joints), *IDENTIFICATION_NODE, *safety_keys(joints),
             *bridge_keys(joints))
 
 
