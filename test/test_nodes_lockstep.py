@@ -8,7 +8,7 @@ from dataclasses import fields
 from gms_flex_control.data.bag import Bag
 from gms_flex_control.data.cdr import unpack_joint_state
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.experiment.driven import drive, DrivenPlan
+from gms_flex_control.experiment.driven import drive_recorded, DrivenPlan
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from gms_flex_control.schema.files import load_robot, save_robot
 from node_harness import (
@@ -37,9 +37,9 @@ def both(tmp_path, monkeypatch, files, *, duration, compensation, rate=500.0):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     monkeypatch.setenv(DISCOVERY, 'LOCALHOST')
     with lock:
-        drive(DrivenPlan(files=tuple(files), model=files[0], compensation=compensation,
-                         duration=duration, rate=rate),
-              tmp_path / 'driven', log=tmp_path / 'log')
+        drive_recorded(DrivenPlan(
+            files=tuple(files), model=files[0], compensation=compensation, duration=duration,
+            rate=rate), tmp_path / 'driven', log=tmp_path / 'log')
     plan = read_plan(files, duration=duration,
                      overrides={'compensation': compensation, 'rate': rate})
     simulate_to_bag(plan, tmp_path / 'simulated')

@@ -87,6 +87,12 @@ class Table4:
             for joint in run.joints))
 
     @property
+    def places(self) -> list:
+        """Return each (trajectory, joint), in the order of the tables."""
+        return [(trajectory, joint) for trajectory in self.trajectories
+                for joint in self.joints(trajectory)]
+
+    @property
     def best(self) -> str:
         """Return the compensation with the least error of all links; none if it is alone."""
         modes = [mode for mode in self.compensations if mode != WITHOUT] or [WITHOUT]
@@ -97,8 +103,9 @@ class Table4:
     @property
     def hardest(self) -> list:
         """Return (trajectory, joint) of all errors with the best one, the largest first."""
-        found = {(trajectory, joint): self.mse(trajectory, self.best, joint)
-                 for trajectory in self.trajectories for joint in self.joints(trajectory)}
+        best = self.best
+        found = {(trajectory, joint): self.mse(trajectory, best, joint)
+                 for trajectory, joint in self.places}
         return sorted((place for place, mse in found.items() if math.isfinite(mse)),
                       key=lambda place: -found[place])
 
@@ -163,9 +170,7 @@ class Table4:
         for mode in modes:
             header += [mode, 'ratio']
         header += ['paper without', 'paper with', 'ratio']
-        return header, [self._row(trajectory, joint, modes)
-                        for trajectory in self.trajectories
-                        for joint in self.joints(trajectory)]
+        return header, [self._row(*place, modes) for place in self.places]
 
     def _row(self, trajectory, joint, modes):
         row = [trajectory, joint, _small(self.mse(trajectory, WITHOUT, joint))]
@@ -204,18 +209,14 @@ class Table4:
 
     def as_dict(self) -> dict:
         """Return everything as JSON can hold it; what is not known is None."""
-        rows = []
-        for trajectory in self.trajectories:
-            for joint in self.joints(trajectory):
-                modes = self.compensations
-                paper = self.paper(trajectory, joint)
-                rows.append({
-                    'trajectory': trajectory, 'joint': joint,
-                    'mse': {m: self.mse(trajectory, m, joint) for m in modes},
-                    'ratio': {m: self.ratio(trajectory, m, joint)
-                              for m in modes if m != WITHOUT},
-                    'paper': dict(zip(('without', 'with', 'ratio'), paper, strict=True))
-                    if paper else None})
+        modes, names, rows = self.compensations, ('without', 'with', 'ratio'), []
+        for trajectory, joint in self.places:
+            paper = self.paper(trajectory, joint)
+            rows.append({
+                'trajectory': trajectory, 'joint': joint,
+                'mse': {m: self.mse(trajectory, m, joint) for m in modes},
+                'ratio': {m: self.ratio(trajectory, m, joint) for m in modes if m != WITHOUT},
+                'paper': dict(zip(names, paper, strict=True)) if paper else None})
         return plain({
             'quantity': 'mean square of link angle - reference', 'unit': 'rad^2', 'note': NOTE,
             'findings': self.findings(), 'table': rows, 'runs': [run._asdict() | {

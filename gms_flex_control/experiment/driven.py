@@ -18,7 +18,6 @@ from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording, Topics
 from gms_flex_control.errors import GmsFlexError
 
-NODES = ('plant_node', 'controller_node', 'trajectory_node')
 _STOP_BOUND = 10.0    # a process has so long to end after SIGINT [s]
 TOPICS = Topics()[:4]  # all but the voltage of the supply
 LISTENERS = 3        # controller, trajectory and recorder or identification
@@ -38,9 +37,7 @@ def executable(name: str) -> list[str]:
     """
     beside = Path(sys.executable).parent / name
     found = str(beside) if beside.is_file() else shutil.which(name)
-    if found:
-        return [found]
-    return module_of(name)
+    return [found] if found else module_of(name)
 
 
 def module_of(name: str) -> list[str]:
@@ -190,15 +187,16 @@ def private_environment() -> dict:
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'PYTHONUNBUFFERED': '1'}
 
 
-def drive(plan: DrivenPlan, bag: Path, *, log: Path) -> None:
+def drive_recorded(plan: DrivenPlan, bag: Path, *, log: Path) -> Recording:
     """
     Run plant, controller, trajectory and recorder until the simulated time is over.
 
-    The recording goes to ``bag``, what the processes print into the folder ``log``. ProcessError
-    if a process fails or does not end in time.
+    Return what was recorded into ``bag``, whose folder is made; ``log`` gets a folder of its name
+    with what the processes print. ProcessError if one fails or does not end in time.
     """
+    bag.parent.mkdir(parents=True, exist_ok=True)
     bound = START_BOUND + plan.duration * plan.rate / SLOWEST_STEPS
-    with Processes(private_environment(), log) as processes:
+    with Processes(private_environment(), log / bag.name) as processes:
         processes.start('recorder', [*executable('gms_flex'), 'record', '--topics', *TOPICS,
                                      '--out', str(bag)])
         # the model last: what the controller believes
@@ -213,14 +211,4 @@ def drive(plan: DrivenPlan, bag: Path, *, log: Path) -> None:
             {'rate': plan.rate, 'duration': plan.duration, 'wait_for_subscribers': LISTENERS})
         processes.wait('plant', bound)
         processes.stop_all('trajectory', 'controller', 'recorder')
-
-
-def drive_recorded(plan: DrivenPlan, bag: Path, *, log: Path) -> Recording:
-    """
-    Run a plan as `drive` does and return what it recorded.
-
-    The folder of ``bag`` is made; ``log`` gets a folder of its name with what processes print.
-    """
-    bag.parent.mkdir(parents=True, exist_ok=True)
-    drive(plan, bag, log=log / bag.name)
     return read_recording(bag)

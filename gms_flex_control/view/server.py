@@ -184,9 +184,11 @@ class _Handler(BaseHTTPRequestHandler):
         if refusal:
             self._refuse(HTTPStatus.FORBIDDEN, refusal)
         elif path == '/api/parameters' and self.server.view.live:
-            self._send_json(self.server.view.set_parameter(*_change(body)))
+            name, value = _fields(body, 'a change', 'name', 'value')
+            self._send_json(self.server.view.set_parameter(name, value))
         elif path == '/api/call' and self.server.view.live:
-            self._send_json(self.server.view.call(_request(body)))
+            name, = _fields(body, 'a request', 'name')
+            self._send_json(self.server.view.call(name))
         else:
             self._refuse(HTTPStatus.NOT_FOUND, f'nothing can be set at {path[:200]}')
 
@@ -261,23 +263,13 @@ def _size(text):
 
 
 def _fields(body, what, *names):
+    """Return what the JSON of a page has by ``names``, the first a text, others also numbers."""
     try:
         given = json.loads(body)
-        return [given[name] for name in names]
+        name, *others = (given[name] for name in names)
     except (ValueError, TypeError, KeyError, RecursionError):
         raise _BadRequest(f'{what} is JSON with {" and ".join(names)}') from None
-
-
-def _request(body):
-    name, = _fields(body, 'a request', 'name')
-    if not isinstance(name, str):
-        raise _BadRequest('a request has a text for its name')
-    return name
-
-
-def _change(body):
-    name, value = _fields(body, 'a change', 'name', 'value')
-    if not isinstance(name, str) or isinstance(value, bool) or not isinstance(
-            value, (int, float, str)):
-        raise _BadRequest('a change has a name and a number or text')
-    return name, value
+    if not isinstance(name, str) or any(
+            isinstance(one, bool) or not isinstance(one, (int, float, str)) for one in others):
+        raise _BadRequest(f'{what} has a text for its name, and a number or text')
+    return [name, *others]
