@@ -304,7 +304,8 @@ def tune(robot: RobotParams, gains: ControllerParams, *, rate: float = 500.0, de
 
 
 def compare(robot: RobotParams, gains: ControllerParams, *, draws: int = 0, rate: float = 500.0,
-            amplitude: float = 1.0, seed: int = 0, workers: int = 0) -> ComparisonResult:
+            amplitude: float = 1.0, seed: int = 0,
+            workers: int | None = None) -> ComparisonResult:
     """
     Return eight friction compensations side by side, in simulation.
 
@@ -313,8 +314,8 @@ def compare(robot: RobotParams, gains: ControllerParams, *, draws: int = 0, rate
     """
     setting = study.Setting(robot, gains, np.full(robot.n_joints, amplitude), rate, draws, seed)
     cells = study.cells(setting)
-    outcomes = (run_batch(study.try_cell, cells, workers, 'cells') if workers else
-                {key: study.try_cell(cell) for key, cell in cells.items()})
+    outcomes = ({key: study.try_cell(cell) for key, cell in cells.items()} if workers is None
+                else run_batch(study.try_cell, cells, workers, 'cells'))
     return ComparisonResult(setting, outcomes, study.table(outcomes, setting))
 
 
