@@ -82,10 +82,10 @@ FLOOR = Condition('without friction', 'without friction', friction=1e-6)
 class Setting(NamedTuple):
     """What a whole comparison has in common."""
 
-    robot: object       # RobotParams as believed
-    gains: object       # ControllerParams
-    amplitude: object   # (n,) of the motions [rad]
-    rate: float         # [Hz] where the condition names none
+    robot: RobotParams     # as believed
+    gains: ControllerParams
+    amplitude: np.ndarray  # (n,) of the motions [rad]
+    rate: float            # [Hz] where the condition names none
     draws: int
     seed: int
 
@@ -95,7 +95,7 @@ class Cell(NamedTuple):
 
     setting: Setting
     mode: str
-    condition: object   # Condition
+    condition: Condition
 
 
 def cells(setting) -> dict:
