@@ -87,11 +87,13 @@ def test_an_effect_is_written_beside_known_parameters_as_given(monkeypatch):
     effect = ('shear_thinning', 'a')
     given, tuned = state_of_errors((1.0, 1.0), (1.0, 1.0)), state_of_errors((1.0, 0.3), (1.0, 3.0))
     best = state_of_errors((0.5, 0.3), (0.5, 3.0), effect)
-    alone = state_of_errors((0.5, 1.0), (0.5, 1.0), effect)
+    beside = state_of_errors((0.5, 1.0), (0.5, 1.0), effect)
     monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): (
-        given if state is tuned else alone))
+        given if state is tuned else beside))
     likelihood = SimpleNamespace(known=0, sd=np.ones(1), coulomb=np.ones(2),
                                  robot=SimpleNamespace(joints=('a', 'b')))
     found = SimpleNamespace(before=tuned, best=best, nuisances=None, tried=())
-    written = workflow._written(likelihood, found, found, Told(likelihood), [], {effect: True})
-    assert written is alone
+    written, without = workflow._written(likelihood, found, found, Told(likelihood), [],
+                                         {effect: True})
+    assert written is beside
+    assert without is given

@@ -56,7 +56,7 @@ PLACES = (
     (TRAJECTORY, 'trajectory_node', f'{_TRAJECTORY}:TrajectoryNode._publish', _CALLS, None),
     (TRAJECTORY, 'trajectory_node', f'{_TRAJECTORY}:TrajectoryNode._choose', 0,
      _set('trajectory__joint1__amplitude', 0.2)),
-    (TRAJECTORY, 'trajectory_node', f'{_TRAJECTORY}:TrajectoryNode._reply', 0, _trigger('stop')))
+    (TRAJECTORY, 'trajectory_node', f'{_TRAJECTORY}:TrajectoryNode._answer', 0, _trigger('stop')))
 
 
 def try_place(bench, place, tally):
