@@ -86,7 +86,7 @@ def test_a_number_that_is_not_finite_is_null():
 
 def test_pictures_are_drawn_of_any_names_and_of_nothing(tmp_path):
     zero = np.zeros(1)
-    gap = Gap(joints=('$_<b>',), energy_ratio=1.0, **dict.fromkeys(
+    gap = Gap(joints=('$_<b>',), **dict.fromkeys(
         ('before', 'retuned', 'after', 'floor', 'rest_before', 'rest_after', 'free_before',
          'free_after', 'free_floor'), zero))
     x, y = sampled()

@@ -116,8 +116,7 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
     so_far = _information(recordings, robot, missing)
     loop = Loop(clipped(gains, limits), limits, period, (), (robot, *so_far.drawn(robot)),
                 recordings[-1].operation.load)
-    experiments = experiments_for(missing, (robot, *so_far.drawn(robot)), loop.gains, limits,
-                                  say=say)
+    experiments = experiments_for(missing, loop.kept, loop.gains, limits, say=say)
     found, stuck = [], below_break_away(robot)
     for kind in zip(*(candidates(limits, robot.joints, pace, stuck=stuck) for pace in PACES),
                     strict=True):

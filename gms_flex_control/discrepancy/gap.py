@@ -126,17 +126,12 @@ class HeldOut:
         floor = _torque(measured, whole, clean) if clean else [np.full(measured.robot.n_joints,
                                                                        np.nan)]
         free = {name: _rms(_free_squares(measured, parts[name])) for name in ('retuned', 'after')}
-        noise = np.nan_to_num(floor[0])
-        above = [float(np.sum(np.maximum(torque[name][0] ** 2 - noise ** 2, 0.0)))
-                 for name in ('retuned', 'after')]
-        ratio = above[1] / above[0] if above[0] > 0.0 else 1.0
         return Gap(
             joints=likelihood.robot.joints,
             **{name: one[0] for name, one in torque.items()}, floor=floor[0],
             rest_before=torque['retuned'][1], rest_after=torque['after'][1],
             free_before=free['retuned'], free_after=free['after'],
-            free_floor=_rms(_free_squares(measured, whole, clean)) if clean else floor[0],
-            energy_ratio=ratio if np.isfinite(ratio) else 1.0)
+            free_floor=_rms(_free_squares(measured, whole, clean)) if clean else floor[0])
 
     def _parts(self, state):
         """Return what predicts which held-out moments: a State as it is, or refitted in folds."""

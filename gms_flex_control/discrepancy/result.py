@@ -80,21 +80,25 @@ class Gap:
     free_before: np.ndarray   # re-tuned
     free_after: np.ndarray
     free_floor: np.ndarray
-    energy_ratio: float       # squared residual above the floor, after over re-tuned, all joints
     closed_loop: object = None  # ClosedLoop, where it was asked for
+
+    @property
+    def energy_ratio(self) -> float:
+        """Return the squared residual above the floor, after over re-tuned, of all joints."""
+        noise = np.nan_to_num(self.floor) ** 2
+        before, after = (float(np.sum(np.maximum(one ** 2 - noise, 0.0)))
+                         for one in (self.retuned, self.after))
+        ratio = after / before if before > 0.0 else 1.0
+        return ratio if np.isfinite(ratio) else 1.0
 
     def of_joints(self, names) -> 'Gap':
         """Return the Gap of some joints, of all where others are named, as the arm is."""
         at = np.isin(self.joints, list(names))
         if not set(names).issubset(self.joints) or not at.any():
             return self
-        part = replace(self, joints=tuple(np.array(self.joints)[at].tolist()), **{
+        return replace(self, joints=tuple(np.array(self.joints)[at].tolist()), **{
             field.name: getattr(self, field.name)[at] for field in fields(self)
             if isinstance(getattr(self, field.name), np.ndarray)})
-        noise = np.nan_to_num(part.floor) ** 2
-        above = [float(np.sum(np.maximum(one ** 2 - noise, 0.0)))
-                 for one in (part.retuned, part.after)]
-        return replace(part, energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0)
 
 
 class Noise(NamedTuple):

@@ -200,9 +200,9 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
                              wave[moving]], axis=1)
     both = np.concatenate([rows.acceleration[:, None], gravity, others[:, 1:]], axis=1)
     with_gravity, off = (held_out_error(one, rows.torque, rows.block) for one in (both, others))
-    has_gravity = turns and with_gravity < off * (
-        _WORTH if np.ptp(rows.angle) > _NARROW and not _is_cancelled(both, others, rows)
-        else _CLEAR)
+    is_usual = np.ptp(rows.angle) > _NARROW and not _is_cancelled(both, others, rows,
+                                                                  wave.shape[1])
+    has_gravity = turns and with_gravity < (_WORTH if is_usual else _CLEAR) * off
     columns, off = (both, with_gravity) if has_gravity else (others, off)
     plain = columns.shape[1]
     if has_gravity:
@@ -224,8 +224,7 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     levels = _levels(friction + grown, rows.rate)
     both_ways = np.ptp(np.sign(rows.rate)) > 0.0
     constant = 0.5 * (levels[0] - levels[1])
-    if both_ways and min(levels) < _LOPSIDED * max(levels) \
-            and abs(constant) > CONFIDENT * error[count]:
+    if both_ways and _is_lopsided(levels) and abs(constant) > CONFIDENT * error[count]:
         found[:, 3] = constant, error[count]
     level = max(sum(_levels(friction, rows.rate)) / (1.0 + both_ways),
                 _LEAST * float(np.std(rows.torque)))
@@ -236,7 +235,7 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
                    float(values[plain:].sum()))
 
 
-def _is_cancelled(both, others, rows):
+def _is_cancelled(both, others, rows, waves):
     """
     Return whether friction is lopsided with gravity (columns ``both``) and is not without.
 
@@ -245,9 +244,8 @@ def _is_cancelled(both, others, rows):
     lopsided = []
     for columns, count in ((others, 1), (both, 3)):
         values = solution(columns, rows.torque, rows.block)[0]
-        friction = slice(count, count + friction_regressors(rows.rate[:1]).shape[1])
-        levels = _levels(columns[:, friction] @ values[friction], rows.rate)
-        lopsided.append(min(levels) < _LOPSIDED * max(levels))
+        friction = slice(count, columns.shape[1] - waves)
+        lopsided.append(_is_lopsided(_levels(columns[:, friction] @ values[friction], rows.rate)))
     return lopsided[1] and not lopsided[0]
 
 
@@ -275,6 +273,11 @@ def _with_load(columns, rows, off):
     explained, rivals = (off ** 2 - one ** 2 for one in (with_load, rival))
     is_there = with_load < _WORTH * off and explained > _WORTH * rivals
     return (grown, with_load) if is_there else (columns, off)
+
+
+def _is_lopsided(levels):
+    """Return whether friction forward and backward differs so much that a torque is constant."""
+    return min(levels) < _LOPSIDED * max(levels)
 
 
 def _levels(friction, rate):

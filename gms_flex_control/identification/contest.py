@@ -31,7 +31,7 @@ from gms_flex_control.identification.objective import (
 from gms_flex_control.identification.outcome import CONFIDENT
 from gms_flex_control.identification.prediction_error import (
     coulomb_viscous,
-    free_run_squares,
+    free_run_error,
     simple_free,
 )
 from gms_flex_control.identification.segments import moving
@@ -78,6 +78,13 @@ class _Look(NamedTuple):
 
     fitted: Callable
     out: Callable
+
+
+class _Squares(NamedTuple):
+    """Mean squares of errors of a fit."""
+
+    torque: np.ndarray  # (B,), what each block of time adds to that of torque [N^2 m^2]
+    free: float         # of free simulation [rad^2]; NaN if no segment is long enough
 
 
 def choose_fit(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float) -> Choice:
@@ -144,28 +151,20 @@ class _Contest:
         return rms(left) < _NEXT_TO_NOTHING * rms(error.measured)
 
     def _passes(self, looks, fitted):
-        penalty, found, least = self._penalty(looks[0]), *(
-            self._errors(looks, [one(look) for look in looks]) for one in (fitted, self.simple))
-        if not penalty * np.nanmax(found / least) < _WORTH:
+        penalty = self._penalty(looks[0])
+        found, least = ([self._squares(look, *one(look)) for look in looks]
+                        for one in (fitted, self.simple))
+        if not penalty * np.nanmax(_errors(found) / _errors(least)) < _WORTH:
             return False
-        return looks[0].out is not everything or self._beyond_chance(looks[0], fitted, penalty)
-
-    def _beyond_chance(self, look, fitted, penalty):
-        """
-        Return whether torque is missed by less than blocks of time differ by.
-
-        Free runs do not say so: a few of them, which slip, have most of the error of all.
-        """
-        own, plain = (self._squares(look, *one(look))[0] for one in (fitted, self.simple))
-        less = plain - penalty ** 2 * own
-        return len(less) > 1 and np.mean(less) > CONFIDENT * np.std(less, ddof=1) / np.sqrt(
-            len(less))
+        return looks[0].out is not everything or _is_beyond_chance(
+            least[0].torque - penalty ** 2 * found[0].torque)
 
     def clearly_better(self) -> bool:
         """Return whether the fit of the torque is far better there, and little worse freely."""
         looks = self.trials[-1]
-        torque, free = (self._errors(looks, [self.by_torque(look) for look in looks])
-                        / self._errors(looks, [self.by_innovations(look) for look in looks]))
+        torque, free = np.divide(*(
+            _errors([self._squares(look, *one(look)) for look in looks])
+            for one in (self.by_torque, self.by_innovations)))
         return torque < _FAR and not free > _LITTLE
 
     def by_innovations(self, look) -> tuple[Coordinates, np.ndarray]:
@@ -192,7 +191,7 @@ class _Contest:
         """
         plain = coulomb_viscous(self._objective, self._bundle, self._step, look.fitted)
         tried = [simple_free(plain, factor * self._step) for factor in _YIELDS]
-        found = [np.nanprod(self._errors([look], [pair])) for pair in tried]
+        found = [np.nanprod(_errors([self._squares(look, *pair)])) for pair in tried]
         return tried[int(np.argmin(found))]
 
     def finished(self, kind) -> Choice:
@@ -223,26 +222,12 @@ class _Contest:
         count = max(len(error.block) / error.memory, 1.1 * size)
         return float(np.sqrt((count + size) * (count - least) / (count - size) / (count + least)))
 
-    def _errors(self, looks, fits):
-        """Return the errors of torque and of free simulation (2,) where looks judge."""
-        found = []
-        for look, fit in zip(looks, fits, strict=True):
-            torque, runs = self._squares(look, *fit)
-            samples = len(self._error(look.out).block)
-            found.append([np.sqrt(torque.sum() / samples),
-                          np.sqrt(np.mean(runs)) if len(runs) else np.nan])
-        return _root_mean_square(np.array(found))
-
     def _squares(self, look, coordinates, free):
-        """
-        Return squared errors where a look judges.
-
-        Those of torque, summed over each block of time (B,) [N^2 m^2], and means over free
-        simulations (S,) [rad^2].
-        """
+        """Return the _Squares where a look judges."""
         theta, error = coordinates.parameters(free), self._error(look.out)
-        return np.bincount(error.block, error(theta) ** 2), free_run_squares(
-            self._objective, self._bundle, theta, look.out)
+        return _Squares(
+            np.bincount(error.block, error(theta) ** 2) / len(error.block),
+            free_run_error(self._objective, self._bundle, theta, look.out) ** 2)
 
     def _error(self, chosen):
         return TorqueError(self._objective, self._bundle, chosen, self._step)
@@ -281,8 +266,18 @@ def _belief(coordinates, free):
     return prior
 
 
-def _root_mean_square(rows):
-    """Return the root mean square of the columns of (L, E), NaN left out, as (E,)."""
+def _is_beyond_chance(less):
+    """
+    Return whether torque is missed by less than blocks of time (B,) differ by.
+
+    Free runs do not say so: a few of them, which slip, have most of the error of all.
+    """
+    return len(less) > 1 and np.mean(less) > CONFIDENT * np.std(less, ddof=1) / np.sqrt(len(less))
+
+
+def _errors(squares):
+    """Return the errors of torque and of free simulation (2,) of _Squares, NaN left out."""
+    rows = np.array([[one.torque.sum(), one.free] for one in squares])
     known = np.isfinite(rows)
     count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
-    return np.sqrt(np.square(np.where(known, rows, 0.0)).sum(axis=0) / count)
+    return np.sqrt(np.where(known, rows, 0.0).sum(axis=0) / count)

@@ -83,15 +83,15 @@ def simple_free(fit: np.ndarray, displacement: float) -> tuple[Coordinates, np.n
     return coordinates, free
 
 
-def free_run_squares(objective: Objective, bundle: Bundle, theta: np.ndarray,
-                     chosen: Callable) -> np.ndarray:
+def free_run_error(objective: Objective, bundle: Bundle, theta: np.ndarray,
+                   chosen: Callable) -> float:
     """
-    Return mean squares of the error of the link angle of free simulations of HORIZON, (S,).
+    Return the rms error of the link angle over free simulations of HORIZON [rad].
 
-    In rad^2. A simulation counts if all of its samples are chosen.
+    A simulation counts if all of its samples are chosen; NaN if no segment is long enough.
     """
     horizon, stride = round(HORIZON / bundle.period), round(_STRIDE / bundle.period)
-    joint, first, squares = objective.joint, stride, []
+    joint, first, total, count = objective.joint, stride, 0.0, 0
     for segment in bundle.segments:
         starts = max((len(segment.angle) - 1 - horizon - first) // stride + 1, 0)
         keep = chosen(segment) & segment.tested[:, joint]
@@ -103,15 +103,9 @@ def free_run_squares(objective: Objective, bundle: Bundle, theta: np.ndarray,
             measured = segment.angle[rows, joint]
             known = np.isfinite(measured) & keep[rows]
             if known.all():
-                squares.append(np.mean((predicted[start] - measured) ** 2))
-    return np.array(squares)
-
-
-def free_run_error(objective: Objective, bundle: Bundle, theta: np.ndarray,
-                   chosen: Callable) -> float:
-    """Return the rms error of `free_run_squares` [rad]; NaN if no segment is long enough."""
-    squares = free_run_squares(objective, bundle, theta, chosen)
-    return float(np.sqrt(np.mean(squares))) if len(squares) else np.nan
+                total += np.sum((predicted[start] - measured) ** 2)
+                count += horizon
+    return float(np.sqrt(total / count)) if count else np.nan
 
 
 def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, simple: np.ndarray,
