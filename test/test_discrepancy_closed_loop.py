@@ -6,7 +6,7 @@
 from dataclasses import replace
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.discrepancy.closed_loop import simulated, stretch_of
+from gms_flex_control.discrepancy.closed_loop import segment_of, simulated
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import loop
@@ -28,39 +28,39 @@ def recording(ideal_robot, gains):
 
 
 def test_the_same_robot_moves_as_it_was_recorded(recording, ideal_robot, gains):
-    stretch = stretch_of(recording)
-    assert stretch.period_ns == 2_000_000 and len(stretch.measured) == len(recording.time)
-    again = simulated(ideal_robot, ideal_robot, gains, stretch)
+    segment = segment_of(recording)
+    assert segment.period_ns == 2_000_000 and len(segment.measured) == len(recording.time)
+    again = simulated(ideal_robot, ideal_robot, gains, segment)
     assert np.abs(again - recording.q_link).max() < 1e-12
 
 
 def test_the_longest_part_with_a_reference_is_taken(recording, ideal_robot, gains):
     reference = recording.reference.copy()
     reference[[100, 1400]] = np.nan
-    stretch = stretch_of(replace(recording, reference=reference))
-    assert stretch.begin == pytest.approx(101 * 2e-3)
-    assert np.array_equal(stretch.measured, recording.q_link[101:1400])
-    again = simulated(ideal_robot, ideal_robot, gains, stretch)  # from a moving arm
-    assert np.abs(again - stretch.measured)[-500:].max() < 2e-3
+    segment = segment_of(replace(recording, reference=reference))
+    assert segment.begin == pytest.approx(101 * 2e-3)
+    assert np.array_equal(segment.measured, recording.q_link[101:1400])
+    again = simulated(ideal_robot, ideal_robot, gains, segment)  # from a moving arm
+    assert np.abs(again - segment.measured)[-500:].max() < 2e-3
 
 
-def test_a_pause_ends_a_stretch(recording):
+def test_a_pause_ends_a_segment(recording):
     """No straight line is drawn through it."""
     later = recording.time + 5.0 * (np.arange(len(recording.time)) >= 600)
-    stretch = stretch_of(replace(recording, time=later))
-    assert stretch.begin == pytest.approx(later[600]) and stretch.period_ns == 2_000_000
-    assert np.array_equal(stretch.measured, recording.q_link[600:])
+    segment = segment_of(replace(recording, time=later))
+    assert segment.begin == pytest.approx(later[600]) and segment.period_ns == 2_000_000
+    assert np.array_equal(segment.measured, recording.q_link[600:])
 
 
-def test_a_drift_goes_on_from_where_the_stretch_begins(recording, ideal_robot, gains):
+def test_a_drift_goes_on_from_where_the_segment_begins(recording, ideal_robot, gains):
     """Twelve seconds after the first sample, a spring that goes soft is soft."""
     drifting = replace(ideal_robot, effects=(
         EffectSpec(name='stiffness_drift', joint='joint1', values=(-0.5, 12.0)),))
     soft = replace(ideal_robot, effects=(
         EffectSpec(name='stiffness_error', joint='joint1', values=(-0.5,)),))
-    stretch = stretch_of(recording)._replace(begin=12.0)
+    segment = segment_of(recording)._replace(begin=12.0)
     expected, late, early = (
-        simulated(robot, ideal_robot, gains, stretch._replace(begin=begin))
+        simulated(robot, ideal_robot, gains, segment._replace(begin=begin))
         for robot, begin in ((soft, 0.0), (drifting, 12.0), (drifting, 0.0)))
     assert np.abs(late - expected).max() < 1e-9 < 1e-4 < np.abs(early - expected).max()
 
@@ -70,14 +70,14 @@ def test_uneven_samples_are_put_on_an_even_grid(recording):
     uneven = recording.time + jitter - jitter[0]
     angles = {name: np.stack([np.interp(uneven, recording.time, getattr(recording, name)[:, j])
                               for j in range(2)], axis=1) for name in ('q_link', 'q_motor')}
-    stretch = stretch_of(replace(recording, time=uneven, **angles))
-    assert np.abs(stretch.measured - recording.q_link)[:-1].max() < 1e-4
-    assert np.abs(stretch.measured - angles['q_link']).max() > 1e-4
+    segment = segment_of(replace(recording, time=uneven, **angles))
+    assert np.abs(segment.measured - recording.q_link)[:-1].max() < 1e-4
+    assert np.abs(segment.measured - angles['q_link']).max() > 1e-4
 
 
 def test_without_a_reference_the_sentence_says_what_to_record(recording):
     with pytest.raises(BagError, match='bag: has no reference.*record /reference'):
-        stretch_of(replace(recording, reference=np.full_like(recording.reference, np.nan)))
+        segment_of(replace(recording, reference=np.full_like(recording.reference, np.nan)))
 
 
 def test_drives_have_the_voltage_that_was_recorded(recording, ideal_robot, gains):
@@ -85,9 +85,9 @@ def test_drives_have_the_voltage_that_was_recorded(recording, ideal_robot, gains
     sag = EffectSpec(name='supply_sag', joint='joint1', values=(0.05, 24.0))
     weaker = replace(ideal_robot, effects=(sag,))
     volts = np.linspace(24.0, 19.0, len(recording.time))
-    stretches = [stretch_of(replace(recording, supply=supply))
+    segments = [segment_of(replace(recording, supply=supply))
                  for supply in (None, np.full(len(volts), 24.0), volts)]
-    unknown, full, less = (np.abs(simulated(weaker, ideal_robot, gains, stretch)
-                                  - recording.q_link).max(axis=0) for stretch in stretches)
+    unknown, full, less = (np.abs(simulated(weaker, ideal_robot, gains, segment)
+                                  - recording.q_link).max(axis=0) for segment in segments)
     assert unknown.max() < 1e-12 and full.max() < 1e-12
     assert less[0] > 1e-3

@@ -10,7 +10,7 @@ from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, driven_motion, likelihood_of
 from gms_flex_control.discrepancy.fitting import fit
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
-from gms_flex_control.discrepancy.null_simulation import null_simulation
+from gms_flex_control.discrepancy.null_simulation import is_followed, null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
@@ -196,5 +196,5 @@ def test_a_simulation_that_goes_its_own_way_is_no_null_simulation(likelihood, ro
     """A drive that lags far behind the hold on the motion swings about it, ever wider."""
     zero = np.zeros(len(likelihood.nuisances))
     late = with_effect(robot, EffectSpec(name='actuator_lag', joint='joint1', values=(0.05,)))
-    assert likelihood.is_followed(as_believed(likelihood))
-    assert not likelihood.is_followed(likelihood.fitted(late, zero))
+    assert is_followed(likelihood, as_believed(likelihood))
+    assert not is_followed(likelihood, likelihood.fitted(late, zero))

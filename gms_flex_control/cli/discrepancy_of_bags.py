@@ -10,7 +10,7 @@ from textwrap import fill
 
 from gms_flex_control.cli.recordings import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
-from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
+from gms_flex_control.discrepancy.closed_loop import segment_of, with_closed_loop
 from gms_flex_control.discrepancy.compared import as_found, compare
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
@@ -70,7 +70,7 @@ def _looped(args, robot, recordings, search):
         return search()
     gains = load_controller(args.controller, robot)
     for recording in recordings:
-        stretch_of(recording)
+        segment_of(recording)
     return with_closed_loop(search(), recordings, gains)
 
 
@@ -119,7 +119,7 @@ def _printed(result, compared, values, args):
 
 
 def _options_of(args):
-    chosen = {'force': args.force, 'doubt': args.doubt, 'without': tuple(args.without)}
+    chosen = {'force': args.force, 'widened': args.widen, 'without': tuple(args.without)}
     for name in args.without:
         registry.find(name)
     if args.max_effects is not None:

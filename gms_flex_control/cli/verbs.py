@@ -176,7 +176,7 @@ _DISCREPANCY = Verb(
                help='where something remains unexplained, learn a term for it that physics '
                     'allows, without a name, and add it to the model if it predicts held-out '
                     'data better'),
-        option('--doubt', type=float, default=1.0, metavar='TIMES', least=1e-6, most=100.0,
+        option('--widen', type=float, default=1.0, metavar='TIMES', least=1e-6, most=100.0,
                help='standard deviations of known parameters, as a multiple of the usual ones: '
                     '1.5 %% of inertia and stiffness, 2 %% of friction (default: 1)'),
         option('--models', nargs='+', default=[], metavar='FILE',

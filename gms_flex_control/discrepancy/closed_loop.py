@@ -15,12 +15,12 @@ import numpy as np
 
 LEAST_TIME = 1.0   # with a reference all along, shorter recordings are of no use [s]
 _FARTHEST = 10.0   # errors are cut there, of loops that run away [rad]
-_LONGEST = 5.5     # periods between samples of one stretch
+_LONGEST = 5.5     # periods between samples of one segment
 _EVEN = 0.02       # of the period: samples closer to an even grid are left as they are
 _SEED, _OTHER_SEED = 991, 992  # of the encoder noise
 
 
-class Stretch(NamedTuple):
+class Segment(NamedTuple):
     """The longest part of a recording that has a reference, evenly sampled."""
 
     source: str
@@ -53,9 +53,9 @@ class ClosedLoop(NamedTuple):
     course_after: np.ndarray    # (T, n) [rad]
 
 
-def stretch_of(recording) -> Stretch:
+def segment_of(recording) -> Segment:
     """
-    Return the Stretch of a Recording of a robot under the cascade controller.
+    Return the Segment of a Recording of a robot under the cascade controller.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def stretch_of(recording) -> Stretch:
     reference, measured = recording.reference[first:last], recording.q_link[first:last]
     if np.abs(time - grid).max() > _EVEN * period:
         reference, measured = (_resampled(grid, time, values) for values in (reference, measured))
-    return Stretch(recording.source, float(time[0]), round(1e9 * period), reference, measured,
+    return Segment(recording.source, float(time[0]), round(1e9 * period), reference, measured,
                    recording.q_motor[first], supply_voltage(recording, grid))
 
 
@@ -98,19 +98,19 @@ def _resampled(grid, time, values):
     return np.stack(columns, axis=1).reshape(values.shape)
 
 
-def simulated(robot, believed, gains, stretch, seed=_SEED) -> np.ndarray:
+def simulated(robot, believed, gains, segment, seed=_SEED) -> np.ndarray:
     """
     Return the link angles (T, n) that the closed loop of a robot would have measured [rad].
 
-    The controller of the Stretch believed another robot; ``seed`` draws the encoder noise.
+    The controller of the Segment believed another robot; ``seed`` draws the encoder noise.
     """
-    loop = Loop(robot, believed, period_ns=stretch.period_ns, seed=seed,
-                q_link=stretch.measured[0], begin=stretch.begin)
-    q_motor = np.where(np.isfinite(stretch.q_motor), stretch.q_motor, stretch.measured[0])
+    loop = Loop(robot, believed, period_ns=segment.period_ns, seed=seed,
+                q_link=segment.measured[0], begin=segment.begin)
+    q_motor = np.where(np.isfinite(segment.q_motor), segment.q_motor, segment.measured[0])
     state = loop.plant_state
-    state.q_motor[:] = np.where(robot.arm.rigid, stretch.measured[0], q_motor)
-    state.dq_link[:] = state.dq_motor[:] = stretch.reference[0, 1]
-    return loop.run(stretch.reference, gains, supply=stretch.supply).measured[:, 0]
+    state.q_motor[:] = np.where(robot.arm.rigid, segment.measured[0], q_motor)
+    state.dq_link[:] = state.dq_motor[:] = segment.reference[0, 1]
+    return loop.run(segment.reference, gains, supply=segment.supply).measured[:, 0]
 
 
 def closed_loop_of(behind, recordings, gains) -> ClosedLoop:
@@ -121,15 +121,15 @@ def closed_loop_of(behind, recordings, gains) -> ClosedLoop:
     believed in.
     """
     given, nuisances = behind.likelihood.robot, behind.likelihood.nuisances
-    stretches = [stretch_of(recording.of_joints(given.joints)) for recording in recordings]
+    segments = [segment_of(recording.of_joints(given.joints)) for recording in recordings]
     retuned, after = (with_nuisances(one.robot, nuisances, one.x)
                       for one in (behind.before, behind.written))
-    angles = {name: [simulated(robot, given, gains, stretch, seed) for stretch in stretches]
+    angles = {name: [simulated(robot, given, gains, segment, seed) for segment in segments]
               for name, robot, seed in (('before', given, _SEED), ('retuned', retuned, _SEED),
                                         ('after', after, _SEED), ('again', after, _OTHER_SEED))}
-    measured, first = [stretch.measured for stretch in stretches], stretches[0]
+    measured, first = [segment.measured for segment in segments], segments[0]
     return ClosedLoop(
-        joints=given.joints, sources=tuple(stretch.source for stretch in stretches),
+        joints=given.joints, sources=tuple(segment.source for segment in segments),
         **{name: _rms(angles[name], measured) for name in ('before', 'retuned', 'after')},
         floor=_rms(angles['again'], angles['after']),
         time=first.begin + 1e-9 * first.period_ns * np.arange(len(first.measured)),

@@ -27,6 +27,7 @@ from gms_flex_control.discrepancy.thresholds import (
     PRACTICAL,
     RESEMBLES,
 )
+from gms_flex_control.discrepancy.torque_noise import clean_torque, excess_torque
 from gms_flex_control.discrepancy.worth import (
     caution_of,
     dropped,
@@ -197,9 +198,9 @@ def joints_left(likelihood, model, free) -> tuple:
 
     That is more than drives make of noise, and than encoders do, or a function ``free``, a Free.
     """
-    quiet = likelihood.excess_torque(model) <= np.maximum(
+    quiet = excess_torque(likelihood, model) <= np.maximum(
         LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
-        caution_of(likelihood) * likelihood.clean_torque())
+        caution_of(likelihood) * clean_torque(likelihood))
     quiet = np.all(quiet.reshape(2, -1), axis=0)  # not where it is not finite
     return tuple(name for name, is_quiet in zip(likelihood.robot.joints, quiet, strict=True)
                  if not is_quiet or free is not None and name == free.joint)

@@ -204,7 +204,7 @@ def _torque(likelihood, parts, motions=None):
 
 
 def _rms(squares):
-    """Return the root of the mean of squares of runs (S, n), NaN where there are none."""
+    """Return the root of the mean of squares of runs (S, n), NaN without any."""
     return np.sqrt(np.sum(squares, axis=0) / (len(squares) or np.nan))
 
 

@@ -30,6 +30,7 @@ from gms_flex_control.discrepancy.learned_words import described, words_of, word
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
+from gms_flex_control.discrepancy.null_simulation import is_followed
 from gms_flex_control.discrepancy.result import Discrepancy, LearnedTerm
 from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, PLAUSIBLE, UNSEEN
 from gms_flex_control.discrepancy.validation import gain_of
@@ -223,7 +224,7 @@ class _Learning:
 
     def _closer(self, state, gap):
         """Return the Gap of a model if it is clearly less in torque and no more in free runs."""
-        if not (self._measured or self.likelihood).is_followed(state.model):
+        if not is_followed(self._measured or self.likelihood, state.model):
             return None
         other = self._gap(state)
         return other if _is_closer(self.likelihood, other, gap) else None

@@ -31,7 +31,6 @@ from gms_flex_control.discrepancy.null_simulation import (
     EncoderNoise,
     NUISANCE_STEP,
     null_readings,
-    null_simulation,
     NullRuns,
 )
 from gms_flex_control.discrepancy.residuals import unexplained
@@ -45,7 +44,6 @@ from gms_flex_control.discrepancy.whitening import (
 )
 from gms_flex_control.effects.base import Change, Scales
 from gms_flex_control.effects.registry import find
-from gms_flex_control.errors import SimulationError
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -54,7 +52,6 @@ _HIGHEST = (LARGEST_NOISE / PRACTICAL_FLOOR) ** 2  # variance of noise over null
 _NULL_RUNS = 9         # simulations in which nothing is missing
 _MEASURED_BY = 6       # of these: by which residuals are whitened
 _LEAST_SCALE, _MOST_SCALE = 0.1, 2.0  # of the torque that was commanded: drives give no more
-_WILD = 4.0            # times the squared torque that the recording lacks: driven wild
 _LOW = 4.0             # standard deviations of chi square: sums below are no merit of a model
 _RATIO_STEP = 0.1      # of a relative change that an effect is
 _MOST_ADDED = 3.0      # times what encoders add to the null simulations: as of twice the inertia
@@ -356,38 +353,6 @@ class Likelihood:
     def torque(self, model) -> list:
         """Return the residual torques of a model behind the low-pass, (S', 2 n) each [N m]."""
         return self.whitened.behind_low_pass(self.residuals(self.motions, model.robot, model.x))
-
-    def excess_torque(self, model) -> np.ndarray:
-        """Return what a model leaves in motion beyond null simulations, rms (2 n,) [N m]."""
-        left = self.whitened.in_motion([one ** 2 for one in self.torque(model)])
-        return np.sqrt(np.maximum(left - self.clean_torque() ** 2, 0.0))
-
-    def is_followed(self, model) -> bool:
-        """
-        Return whether a null simulation of a model keeps to the recorded motion.
-
-        One that lacks more torque than the recording does, beyond what drives make, goes its own
-        way: it shows what a model does that is driven wild, not what noise does.
-        """
-        constants = self.constants(model.robot, model.x)
-        try:
-            runs = [null_simulation(motion, constants, np.random.default_rng(self.seed))
-                    for motion in self.motions]
-        except SimulationError:
-            return False
-        own = self.whitened.behind_low_pass([unexplained(run, constants) for run in runs])
-        most = np.maximum(self.whitened.in_motion([one ** 2 for one in self.torque(model)]),
-                          (LARGEST_NOISE * np.tile(self.coulomb, 2)) ** 2)
-        return bool(np.all(self.whitened.in_motion([one ** 2 for one in own])
-                           <= _WILD * most))  # not where it is not finite
-
-    def clean_torque(self) -> np.ndarray:
-        """Return what null simulations leave in motion, torque noise too, rms (2 n,) [N m]."""
-        squares = [[one ** 2 for one in self.whitened.behind_low_pass([
-            residual + drawn_noise(self, m, np.random.default_rng([self.seed, 9, k, m]))
-            for m, residual in enumerate(run)])] for k, run in enumerate(self.null.clean[:2])]
-        return np.sqrt(self.whitened.in_motion([
-            np.mean(one, axis=0) for one in zip(*squares, strict=True)]))
 
     def scales_of(self, joint) -> Scales:
         """Return the Scales of a joint, those of the first for the whole arm."""

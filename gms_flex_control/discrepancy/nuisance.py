@@ -91,7 +91,7 @@ class OfRecording(NamedTuple):
     """
     What differs between the first recording and another: an encoder zero, torque, or its time.
 
-    Those of the first are the robot's as far as anybody can tell, and have effects with names.
+    Those of the first count as the robot's, and have effects with names.
     """
 
     name: str

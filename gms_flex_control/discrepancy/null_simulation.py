@@ -23,8 +23,9 @@ from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.discrepancy.motion import make_motion, Motion
 from gms_flex_control.discrepancy.nuisance import OF_SHAPE
-from gms_flex_control.discrepancy.residuals import fresh_state
+from gms_flex_control.discrepancy.residuals import fresh_state, unexplained
 from gms_flex_control.discrepancy.samples import encoder_step
+from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE
 from gms_flex_control.discrepancy.whitening import Grams
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import signals as sig
@@ -40,6 +41,7 @@ _DAMPED = 1.4         # twice the damping ratio of both
 _OF_RATE = 0.3        # of the sample rate: so much it is at most [rad]
 _STEP = 4e-4          # of the integration [s]
 NUISANCE_STEP = 0.01  # relative change of a nuisance parameter, for its derivative
+_WILD = 4.0           # times the squared torque that the recording lacks: driven wild
 _MOSTLY = 0.3         # of the squares of a derivative: noise shows more than the model does
 
 
@@ -137,6 +139,26 @@ def null_readings(motion, constants) -> Callable:
                                            samples.noise[side, j], rng)
         return make_motion(samples.simulated(angles, held, pushed))
     return read
+
+
+def is_followed(likelihood, model) -> bool:
+    """
+    Return whether a null simulation of a Fitted keeps to the recorded motion.
+
+    One that lacks more torque than the recording does, beyond what drives make, goes its own
+    way: it shows what a model does that is driven wild, not what noise does.
+    """
+    constants, whitened = likelihood.constants(model.robot, model.x), likelihood.whitened
+    try:
+        runs = [null_simulation(motion, constants, np.random.default_rng(likelihood.seed))
+                for motion in likelihood.motions]
+    except SimulationError:
+        return False
+    own = whitened.behind_low_pass([unexplained(run, constants) for run in runs])
+    most = np.maximum(whitened.in_motion([one ** 2 for one in likelihood.torque(model)]),
+                      (LARGEST_NOISE * np.tile(likelihood.coulomb, 2)) ** 2)
+    return bool(np.all(whitened.in_motion([one ** 2 for one in own])
+                       <= _WILD * most))  # not where it is not finite
 
 
 def _read(angle, like, noise, rng):

@@ -16,6 +16,7 @@ from gms_flex_control.discrepancy.evidence import finite, NormalEquations
 from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
 from gms_flex_control.discrepancy.result import Signature
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
+from gms_flex_control.discrepancy.torque_noise import excess_torque
 from gms_flex_control.discrepancy.validation import folds, gain_over, of_blocks
 from gms_flex_control.discrepancy.whitening import BLOCK
 import numpy as np
@@ -120,7 +121,7 @@ def signature_of(likelihood, model, share, free=None, among=None) -> Signature:
             f'{scale.text(free.torque)} {scale.unit} rms in the {free.equation} equation of '
             f'{free.joint} are '
             + ('constant.' if variable == 'constant' else f'a function of {variable}.'))
-    excess = likelihood.excess_torque(model) / np.tile(likelihood.coulomb, 2)
+    excess = excess_torque(likelihood, model) / np.tile(likelihood.coulomb, 2)
     if among:
         excess[~np.tile(np.isin(joints, among), 2)] = -1.0
     channel = int(np.argmax(excess))

@@ -95,7 +95,7 @@ def noise_response(likelihood) -> float:
 def noise_of(likelihood, model) -> tuple[Noise, ...]:
     """Return the torque noise of each equation beyond what encoders make, tuple of Noise."""
     robot, found = model.robot, []
-    n, total = robot.n_joints, likelihood.excess_torque(model)
+    n, total = robot.n_joints, excess_torque(likelihood, model)
     white = np.sqrt(np.mean(likelihood.noise ** 2, axis=0))
     response = noise_response(likelihood)
     levels = _octave_levels(likelihood, model)
@@ -108,6 +108,22 @@ def noise_of(likelihood, model) -> tuple[Noise, ...]:
         found.append(Noise(robot.joints[c % n], 'link' if c < n else 'motor', float(white[c]),
                            rms, colour))
     return tuple(found)
+
+
+def excess_torque(likelihood, model) -> np.ndarray:
+    """Return what a model leaves in motion beyond null simulations, rms (2 n,) [N m]."""
+    left = likelihood.whitened.in_motion([one ** 2 for one in likelihood.torque(model)])
+    return np.sqrt(np.maximum(left - clean_torque(likelihood) ** 2, 0.0))
+
+
+def clean_torque(likelihood) -> np.ndarray:
+    """Return what null simulations leave in motion, torque noise too, rms (2 n,) [N m]."""
+    whitened, seed = likelihood.whitened, likelihood.seed
+    squares = [[one ** 2 for one in whitened.behind_low_pass([
+        residual + drawn_noise(likelihood, m, np.random.default_rng([seed, 9, k, m]))
+        for m, residual in enumerate(run)])] for k, run in enumerate(likelihood.null.clean[:2])]
+    return np.sqrt(whitened.in_motion([
+        np.mean(one, axis=0) for one in zip(*squares, strict=True)]))
 
 
 def _octave_levels(likelihood, model):

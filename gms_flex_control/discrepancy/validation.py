@@ -118,8 +118,8 @@ def prediction_cost(likelihood, models, joint) -> np.ndarray:
     A controller puts encoder noise, and its answer to the noise of the drives, into the torque: a
     late torque that makes more of that cancel looks better than the true one. No controller knows
     the noise of the next reading, though: errors of prediction are smallest for the true model,
-    loop closed or not (Ljung, System Identification, 2nd ed., 1999, section 13.4). What earlier
-    errors tell of the next is fitted with each model.
+    loop closed or not (Ljung, System Identification, 2nd ed., 1999, section 13.4). How
+    each error depends on earlier ones is fitted with each model.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def prediction_cost(likelihood, models, joint) -> np.ndarray:
     -------
     ndarray, shape (M,)
         Twice the negative logarithm of the likelihood of normal errors, but for a constant; all
-        zero where recordings are too short to tell.
+        zero where recordings are too short.
 
     """
     n, joints = likelihood.robot.n_joints, likelihood.robot.joints
@@ -170,7 +170,7 @@ def _inertia(motion, constants, left, joint):
 
 
 def _innovation_cost(left, usable, period):
-    """Return the cost of residuals (T, C) less what those before tell of them."""
+    """Return the cost of residuals (T, C) less what those before predict of them."""
     memory = int(np.clip(_MEMORY / period, _FEWEST, _MOST))
     rows = np.flatnonzero(np.convolve(usable, np.ones(memory + 1), 'valid') > memory) + memory
     size = left.shape[1] * memory

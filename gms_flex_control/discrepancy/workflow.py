@@ -25,6 +25,7 @@ from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
+from gms_flex_control.discrepancy.null_simulation import is_followed
 from gms_flex_control.discrepancy.remainder import FreeFunctions, signature_of
 from gms_flex_control.discrepancy.result import (
     BAD_DATA,
@@ -66,7 +67,7 @@ class Options:
     without: tuple = ()  # of str, effects that are not considered
     force: bool = False  # go on where the data are bad
     seed: int = 0        # of the null simulations
-    doubt: float = 1.0   # how many times as far as usual known parameters may be off
+    widened: float = 1.0  # prior standard deviations of known parameters, times the usual ones
 
 
 def find_discrepancy(
@@ -124,12 +125,12 @@ def _compared(motions, holdout, robot, options, say):
     """Return the Discrepancy of motions with a robot as believed."""
     say('null simulations: what recordings look like in which nothing is missing')
     likelihood, found = _searched(_with_noise(Likelihood(
-        motions, robot, options.seed, widened=options.doubt)), options, say)
+        motions, robot, options.seed, widened=options.widened)), options, say)
     say('held-out prediction')
     searched = found
     functions = FreeFunctions(likelihood)
     found, worths, free, whole = judged(likelihood, found, functions)
-    held_out = HeldOut(likelihood, Likelihood(holdout, robot, options.seed, options.doubt,
+    held_out = HeldOut(likelihood, Likelihood(holdout, robot, options.seed, options.widened,
                                               held_out=True) if holdout else None)
     of_judged = found.best
     found, worths = predictive(likelihood, found, worths, held_out)
@@ -230,7 +231,7 @@ def _searched(likelihood, options, say):
 
 
 def _hardly_acting(likelihood, state):
-    """Return the names of effects of a State of which the motion tells too little."""
+    """Return the names of effects of a State on which the motion hardly depends."""
     return {spec.name for spec in state.model.robot.effects[likelihood.known:]
             if find(spec.name).hardly_acts(spec.values, likelihood.scales_of(spec.joint))}
 
@@ -244,7 +245,7 @@ def _sound(likelihood, found):
     """Return a search with the likeliest model that does not run away, None if all do."""
     return next((found._replace(best=state) for state in (
         found.best, *sorted(found.tried, key=lambda state: -state.evidence))
-        if likelihood.is_followed(state.model)), None)
+        if is_followed(likelihood, state.model)), None)
 
 
 def _left_over(likelihood, model, free, gap, measured=None):
