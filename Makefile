@@ -43,7 +43,7 @@ lint: .venv/.with-test  ## Run ruff (the ament linters run among the tests)
 bench: .venv/.with-bench  ## Measure speed, beside MuJoCo
 	@$(BIN)/python -m bench speed
 
-bench-real: .venv/.with-bench  ## Ask real machines, beside least squares, write docs/real_machines.md
+bench-real: .venv/.with-bench  ## Run on real machines, beside least squares, write docs/real_machines.md
 	@$(BIN)/python -m bench real-machines --out bench_real_output --docs
 
 screenshots: .venv/.with-test  ## Make the pictures of docs/view.md anew (needs chromium)

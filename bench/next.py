@@ -174,7 +174,7 @@ def small_moves(limits, joints, seed) -> Candidate:
 
 def draw(item) -> Robot | None:
     """
-    Draw a Robot whose first recording tells that something is missing, and leaves two names.
+    Draw a Robot whose first recording shows that something is missing, and leaves two names.
 
     As `discrepancy` does: no name has 95 % of the probability.
     """

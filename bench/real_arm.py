@@ -131,14 +131,14 @@ def run(args) -> int:
         return 1
     with tempfile.TemporaryDirectory() as folder, in_one_thread():
         found = found_in(recording_of(data), believed(data / FILES[2], Path(folder)))
-    names, told = (*_JOINTS, 'motor 6, with joints 5 + 6'), published()
+    names, reported = (*_JOINTS, 'motor 6, with joints 5 + 6'), published()
     if args.out:
         write_text(args.out, json.dumps({'names': names, 'found': found.tolist(),
-                                         'published': told.tolist()}, indent=1) + '\n')
+                                         'published': reported.tolist()}, indent=1) + '\n')
     print(align(
         ['', *(f'{what}{kind}' for what in ('Coulomb [N m]', 'viscous [N m s/rad]',
                                             'motor inertia [kg m^2]')
                for kind in ('', ', published'))],
-        [[name, *(f'{value:.3g}' for pair in zip(found[:, j], told[:, j], strict=True)
+        [[name, *(f'{value:.3g}' for pair in zip(found[:, j], reported[:, j], strict=True)
                   for value in pair)] for j, name in enumerate(names)]))
     return 0

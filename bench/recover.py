@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""`python -m bench recover`: what an experiment tells, tried on a simulated robot many times."""
+"""`python -m bench recover`: what an experiment finds, on a simulated robot many times."""
 
 from dataclasses import replace
 from functools import partial

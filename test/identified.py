@@ -30,7 +30,7 @@ UNITS = {'static': 'N m', 'coulomb': 'N m', 'velocity': 'rad/s', 'viscous': 'N m
          'attraction': 'N m/s', 'stiffness': 'N m/rad', 'weight': '1'}
 FLAGGED = {'friction.joint2.stiffness[0]': (
     ('not identifiable', 'at bound'), 'slips only after 0.149 rad; presliding with larger '
-    'amplitude would tell')}
+    'amplitude would show it')}
 ERRORS = HeldOut(torque_rms=0.004, relative=0.05, coulomb_viscous=0.12, free_run_rms=1.1e-3,
                  free_run_coulomb_viscous=6.4e-3, horizon=0.5, innovation_rms=5e-5,
                  noise_floor=0.001, repeatability=0.0035)

@@ -68,7 +68,7 @@ def call_service(name, kind):
 
 
 def set_parameter(name, parameter, value):
-    """Do ``ros2 param set``; a refusal is told, and no error of the command."""
+    """Do ``ros2 param set``; a refusal is reported, and no error of the command."""
     from rcl_interfaces.msg import Parameter
     import rclpy
     from rclpy.parameter import get_parameter_value

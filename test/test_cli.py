@@ -65,8 +65,8 @@ def test_the_help_of_a_verb_has_examples_that_parse(verb, capsys):
 @pytest.mark.parametrize(('its_tool', 'verbs'), [(tool, VERBS), (bench, OF_BENCH)])
 def test_the_bare_command_is_the_help_with_verbs_by_group(its_tool, verbs, capsys):
     assert its_tool.main([]) == tool.OK
-    printed, told = capsys.readouterr()
-    assert printed == its_tool.build_parser().format_help() and told == ''
+    printed, reported = capsys.readouterr()
+    assert printed == its_tool.build_parser().format_help() and reported == ''
     _, *groups = printed.split('\nverbs ')
     listed = [re.findall(r'^  ([a-z-]+) ', group, re.MULTILINE) for group in groups]
     assert sorted(sum(listed, [])) == sorted(verbs)
@@ -79,9 +79,9 @@ def test_the_bare_command_is_the_help_with_verbs_by_group(its_tool, verbs, capsy
 def test_a_misspelt_verb_is_told_the_nearest(typed, meant, capsys):
     with pytest.raises(SystemExit) as ended:
         tool.main([typed, 'bag'])
-    told = capsys.readouterr().err
+    reported = capsys.readouterr().err
     assert ended.value.code == tool.BAD_INPUT
-    assert f'there is no verb {typed!r}; ' in told and meant in told
+    assert f'there is no verb {typed!r}; ' in reported and meant in reported
 
 
 def test_warnings_of_numpy_stay_away_and_ours_are_sentences(monkeypatch, capsys):
@@ -161,9 +161,9 @@ def test_an_error_of_the_program_is_no_finding(monkeypatch, capsys):
 
     monkeypatch.setattr('gms_flex_control.cli.bag_files.info', broken)
     assert tool.main(['info', 'bag']) == tool.OWN_ERROR
-    told = capsys.readouterr().err
-    assert 'ZeroDivisionError: of the program' in told
-    assert 'please report it' in told
+    reported = capsys.readouterr().err
+    assert 'ZeroDivisionError: of the program' in reported
+    assert 'please report it' in reported
 
 
 @pytest.mark.parametrize('words, sentence', [
@@ -195,8 +195,8 @@ def test_ctrl_c_ends_workers_in_silence(tmp_path):
     assert 'hidden robots' in process.stderr.readline()
     time.sleep(2.0)  # while they start, or work
     os.killpg(process.pid, signal.SIGINT)
-    _, told = process.communicate(timeout=60)
-    assert (process.returncode, told) == (130, 'python -m bench score: interrupted\n')
+    _, reported = process.communicate(timeout=60)
+    assert (process.returncode, reported) == (130, 'python -m bench score: interrupted\n')
 
 
 def test_the_shell_is_told_what_may_follow(tmp_path):

@@ -136,6 +136,6 @@ def test_a_poor_bag_never_gives_a_confident_wrong_number(tmp_path, capsys, words
             estimate = estimates[f'friction.{JOINT}.{side}.{name}']
             low, high = estimate['interval']
             near = abs(estimate['value'] / truth - 1.0) < 0.1
-            told = estimate['flags'] or low <= truth <= high
-            assert near or (told and name in ('velocity', 'viscous')), (
+            reported = estimate['flags'] or low <= truth <= high
+            assert near or (reported and name in ('velocity', 'viscous')), (
                 f'{side}.{name} is {truth}, estimated {estimate}')

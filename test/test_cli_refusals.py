@@ -101,11 +101,11 @@ def told_of(words, folder, capsys):
     verb, *words = words.format(**places).split()
     its_tool, start = (tool, 'gms_flex') if verb in tool.VERBS else (bench, bench.PROG)
     assert its_tool.main([verb, *words]) == tool.BAD_INPUT
-    printed, told = capsys.readouterr()
-    assert printed == '' and told.startswith(f'{start} {verb}: ')
-    assert told.count('\n') == 1 and 'Errno' not in told
+    printed, reported = capsys.readouterr()
+    assert printed == '' and reported.startswith(f'{start} {verb}: ')
+    assert reported.count('\n') == 1 and 'Errno' not in reported
     assert not places['dir'].exists() and list(places['folder'].iterdir()) == []
-    return told, places
+    return reported, places
 
 
 def test_every_verb_is_tested():
@@ -121,8 +121,8 @@ def test_bad_input_of_a_verb_is_said_in_one_sentence(verb, tmp_path, capsys):
 @pytest.mark.parametrize(('words', 'sentence'), OPTIONS)
 def test_what_is_wrong_with_an_option_is_said(words, sentence, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    told, places = told_of(words, tmp_path, capsys)
-    assert sentence.format(**places) in told
+    reported, places = told_of(words, tmp_path, capsys)
+    assert sentence.format(**places) in reported
 
 
 @pytest.mark.parametrize('words', [

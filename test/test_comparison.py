@@ -101,8 +101,8 @@ def test_compare_prints_the_table_and_writes_a_page_that_stands_alone(
     only('none', 'gms')
     assert main(['compare', '--draws', '1', '--workers', '1', '--out', str(tmp_path)]) == 0
     out = capsys.readouterr().out
-    told = json.loads((tmp_path / 'comparison.json').read_text())
-    errors = {row['mode']: row['errors'] for row in told['rows']}
+    reported = json.loads((tmp_path / 'comparison.json').read_text())
+    errors = {row['mode']: row['errors'] for row in reported['rows']}
     for group in ('nominal', 'friction', 'K', 'M', '200 Hz', '65536 counts'):
         assert errors['gms'][group] < 0.4 * errors['none'][group]
     page = (tmp_path / 'report.html').read_text()

@@ -40,7 +40,7 @@ def write_bag(path, states, commands=(), references=()):
 
 
 def state(k, names=('a', 'b', 'b_motor'), stamp=None):
-    """Return state ``k``: position tells name and sample."""
+    """Return state ``k``: position encodes name and sample."""
     stamp = k * PERIOD if stamp is None else stamp
     values = [100 * ord(name[0]) + (50 if name.endswith('motor') else 0) + k for name in names]
     return stamp, cdr.pack_joint_states(
@@ -383,7 +383,7 @@ def test_a_message_that_is_no_phase_is_named(message, tmp_path):
 
 
 def test_a_recording_made_in_a_namespace_is_found(tmp_path):
-    """Two loops in one bag leave no telling which is meant."""
+    """Two loops in one bag leave open which is meant."""
     def loop(space):
         return {f'{space}{STATES}': cdr.JOINT_STATE, f'{space}{cdr.PHASE_TOPIC}': cdr.MULTI_ARRAY,
                 f'{space}/robot{STATES}': cdr.JOINT_STATE, f'{space}{COMMANDS}': cdr.MULTI_ARRAY}

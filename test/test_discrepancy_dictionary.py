@@ -102,7 +102,7 @@ def test_effects_that_scale_a_joint_together_do_not_join(ideal_robot):
     assert [may_join(spec, robot, 0) for spec in specs] == [False] * 4
     assert [may_join(spec, robot, 2) for spec in specs] == [False, True, False, True]
     other = replace(spring, joint='joint2')
-    assert may_join(replace(spring, name='motor_inertia_error'), robot, 0)  # K tells them apart
+    assert may_join(replace(spring, name='motor_inertia_error'), robot, 0)  # K separates them
     assert may_join(other, robot, 0) and not may_join(other, replace(robot, effects=(other,)), 1)
 
 

@@ -77,9 +77,9 @@ def test_an_effect_has_the_odds_of_one_among_all_against_it():
     few, many = (state_of(given, model, slopes, count).evidence for count in (2, 200))
     assert few == many  # no effect, no odds
     given.robot = SimpleNamespace(effects=(), joints=('j',))
-    told = SimpleNamespace(name='motor_torque_bias', joint='j', values=(0.0,))
+    reported = SimpleNamespace(name='motor_torque_bias', joint='j', values=(0.0,))
     arm = SimpleNamespace(rigid=[True], stiffness=[np.inf])
-    with_one = Fitted(SimpleNamespace(effects=(told,), joints=('j',), arm=arm), model.x,
+    with_one = Fitted(SimpleNamespace(effects=(reported,), joints=('j',), arm=arm), model.x,
                       [], model.rows, model.sums)
     given.scales_of = lambda joint: Scales(0.1, 1.0, 0.0, 0.0, 1.0, 0.01, 0.1,
                                            Travel(-1.0, 1.0, 2.0), 20.0)

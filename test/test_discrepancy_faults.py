@@ -101,9 +101,9 @@ def test_joints_are_known_by_name_whatever_their_order(case):
     recording = case.recording
     turned = recording.of_joints(recording.joints[::-1])
     assert turned.joints == ('joint2', 'joint1')
-    told = [find_discrepancy([one], case.nominal, Options(most=0)) for one in (recording, turned)]
-    assert told[0].words == told[1].words
-    assert told[0].verdict != BAD_DATA and told[0].data.faults == ()
+    found = [find_discrepancy([one], case.nominal, Options(most=0)) for one in (recording, turned)]
+    assert found[0].words == found[1].words
+    assert found[0].verdict != BAD_DATA and found[0].data.faults == ()
     alone = find_discrepancy([recording.of_joints(['joint2'])], case.nominal)
     assert alone.verdict == BAD_DATA and "no joint 'joint1'" in alone.words
     with pytest.raises(BagError, match="no joint 'joint1'"):

@@ -98,13 +98,13 @@ def test_slopes_are_the_derivative_of_the_cost():
     slopes = likelihood.slopes(noise.known(columns), noise.columns(model.robot, ()), model,
                                likelihood.weights(model.sums.groups))
     slopes -= x / likelihood.sd ** 2
-    told = []
+    reported = []
     for i in range(len(x)):
         step = 0.02 * likelihood.sd[i] * (np.arange(len(x)) == i)
         ends = [likelihood.fitted(model.robot, x + sign * step).cost for sign in (1.0, -1.0)]
-        told.append((ends[1] - ends[0]) / (4.0 * step[i]))  # downhill, of half the cost
-    told, size = np.array(told) * likelihood.sd, slopes * likelihood.sd
-    np.testing.assert_allclose(size, told, atol=0.05 * np.abs(told).max() + 0.05)
+        reported.append((ends[1] - ends[0]) / (4.0 * step[i]))  # downhill, of half the cost
+    reported, size = np.array(reported) * likelihood.sd, slopes * likelihood.sd
+    np.testing.assert_allclose(size, reported, atol=0.05 * np.abs(reported).max() + 0.05)
 
 
 @pytest.mark.parametrize(('name', 'nuisance'), [
@@ -143,7 +143,7 @@ def test_noise_is_foreseen_of_a_robot_without_what_null_simulations_have(robot, 
 
 
 def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, gains):
-    """Three numbers tell what both links weigh, however a payload and beliefs make them up."""
+    """Three numbers determine what both links weigh, whatever payload and beliefs add up to."""
     coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
     likelihood = Likelihood([driven_motion(coarse, gains)], robot)
     spec = EffectSpec(name='tip_payload', joint='arm', values=(0.1,))

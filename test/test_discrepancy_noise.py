@@ -24,8 +24,8 @@ def test_of_drives_without_noise_next_to_none_is_told():
     """Less than half a percent of F_s, which is a twelfth of what noisy drives have."""
     case = make_case('clean', 4, duration=SHORT)
     likelihood = likelihood_of(case)
-    told = white_noise(likelihood, retuned_of(likelihood)[0])[0]
-    assert np.all(told[2:] < 0.005 * case.nominal.friction.forward.static)
+    reported = white_noise(likelihood, retuned_of(likelihood)[0])[0]
+    assert np.all(reported[2:] < 0.005 * case.nominal.friction.forward.static)
 
 
 @pytest.mark.parametrize(('seed', 'population'), [(0, 'noise_3'), (4, 'noise_6')])
@@ -33,24 +33,24 @@ def test_white_torque_noise_is_measured_once(seed, population):
     """To a quarter of its size; with it null simulations are as loud as the recording."""
     case = make_case('clean', seed, population=population, duration=SHORT)
     likelihood = likelihood_of(case)
-    told = white_noise(likelihood, retuned_of(likelihood)[0])
-    np.testing.assert_allclose(told[0, 2:], case.truth.torque_noise, rtol=0.25)
-    noisy = likelihood.with_noise(told)
+    reported = white_noise(likelihood, retuned_of(likelihood)[0])
+    np.testing.assert_allclose(reported[0, 2:], case.truth.torque_noise, rtol=0.25)
+    noisy = likelihood.with_noise(reported)
     model, _ = retuned_of(noisy)
     assert np.mean(model.rows ** 2) == pytest.approx(np.mean(noisy.clean ** 2), rel=0.3)
-    told = white_noise(noisy, model)[0, 2:]
-    np.testing.assert_allclose(told, case.truth.torque_noise, rtol=0.25)
+    reported = white_noise(noisy, model)[0, 2:]
+    np.testing.assert_allclose(reported, case.truth.torque_noise, rtol=0.25)
 
 
 def test_a_robot_with_noisy_drives_lacks_nothing():
     case = make_case('clean', 4, population='noise_6', duration=SHORT)
     result = find_discrepancy([case.recording], case.nominal, Options(most=2))
     assert (result.verdict, result.named) == (COMPLETE, ()), result.words
-    told = {one.joint: one for one in result.data.noise if one.equation == 'motor'}
-    assert set(told) == set(case.nominal.joints)
+    reported = {one.joint: one for one in result.data.noise if one.equation == 'motor'}
+    assert set(reported) == set(case.nominal.joints)
     assert 'Torque noise of the recording' in result.words
-    assert {one.colour for one in told.values()} == {'white'}
-    np.testing.assert_allclose([told[joint].per_sample for joint in case.nominal.joints],
+    assert {one.colour for one in reported.values()} == {'white'}
+    np.testing.assert_allclose([reported[joint].per_sample for joint in case.nominal.joints],
                                case.truth.torque_noise, rtol=0.25)
 
 

@@ -88,9 +88,9 @@ def test_links_that_have_encoders_are_taken_from_them():
 def test_torque_noise_is_measured_though_it_moves_the_links_computed():
     case = make_case('clean', 4, population='noise_6', duration=20.0)
     likelihood = likelihood_of(replace(case, recording=blind(case.recording)))
-    told = white_noise(likelihood, retuned_of(likelihood)[0])
-    np.testing.assert_allclose(told[0, :2], case.truth.torque_noise, rtol=0.25)
-    noisy = likelihood.with_noise(told)
+    reported = white_noise(likelihood, retuned_of(likelihood)[0])
+    np.testing.assert_allclose(reported[0, :2], case.truth.torque_noise, rtol=0.25)
+    noisy = likelihood.with_noise(reported)
     model, _ = retuned_of(noisy)
     assert np.mean(model.rows ** 2) == pytest.approx(np.mean(noisy.clean ** 2), rel=0.3)
 

@@ -15,7 +15,7 @@ def octaves():
 
 
 def test_numbers_are_a_turned_view_of_the_samples(octaves):
-    """The transform of the unit matrix is orthonormal: all is kept, nothing told twice."""
+    """The transform of the unit matrix is orthonormal: all is kept, nothing reported twice."""
     matrix = octaves(np.fft.fft(np.eye(320), axis=0))
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(320), atol=1e-12)
     assert [len(part) for part in octaves.parts] == [160, 80, 40, 20, 20]
@@ -64,8 +64,8 @@ def test_where_an_equation_tells_nothing_its_residual_counts_nothing():
     rows = whitening.rows_of(stuck)
     np.testing.assert_allclose(rows, whitening.rows_of(noise[6]), rtol=1e-9, atol=1e-9)
     inside = (whitening.row_time > 16.01) & (whitening.row_time < 23.99)
-    told = rows[~inside & np.any(rows, axis=1)]
-    assert not np.any(rows[inside]) and told.var() == pytest.approx(1.0, abs=0.2)
+    reported = rows[~inside & np.any(rows, axis=1)]
+    assert not np.any(rows[inside]) and reported.var() == pytest.approx(1.0, abs=0.2)
 
 
 def test_slow_noise_of_rests_does_not_hide_what_is_slow_in_motion():

@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 
 SHORT = 12.0  # of a recording [s]
-# what may be told besides single effects, of which the bench asks for all: of disturbances that no
+# what may be named besides single effects, all of which the bench tries: of disturbances that no
 # effect explains, of two effects
 CASES = {
     'an unknown motor torque': ('outside', 5, {'effect': 'periodic_motor_torque'}, UNEXPLAINED),
@@ -57,7 +57,7 @@ def named():
 
 @pytest.mark.parametrize('name', CASES)
 def test_no_more_is_named_than_is_hidden(name):
-    """Where something is left that the catalogue lacks, equation and joint are told."""
+    """Where something is left that the catalogue lacks, equation and joint are reported."""
     kind, seed, options, verdict = CASES[name]
     case, result, found = outcome(kind, seed, most=3 if kind == 'double' else 2, **options)
     truth = case.truth
@@ -79,8 +79,8 @@ def test_a_belief_that_is_two_percent_off_is_not_named():
     assert result.unexplained is None and result.robot.effects == ()
     tried = {one.effect for one in result.searched.tried}
     assert tried | {'supply_sag', 'friction_backlash'} == set(registry.names())
-    told = {joint: change for name, joint, change in result.retuned if name == 'stiffness'}
-    assert all(change == pytest.approx(-0.02, abs=0.01) for change in told.values())
+    reported = {joint: change for name, joint, change in result.retuned if name == 'stiffness'}
+    assert all(change == pytest.approx(-0.02, abs=0.01) for change in reported.values())
     np.testing.assert_allclose(result.robot.arm.stiffness, arm.stiffness, rtol=0.01)
 
 
@@ -287,10 +287,10 @@ def test_what_differs_between_recordings_is_no_effect():
                     tau_motor=case.held_out.tau_motor + [0.0, 0.02])
     result = find_discrepancy([case.recording, other], case.nominal, Options(most=1))
     assert result.verdict == COMPLETE and not result.named
-    told = {sentence.split(' joint')[0]: sentence for sentence in result.data.differences}
-    assert set(told) == {'zero of the link encoder of', 'torque of'}
+    reported = {sentence.split(' joint')[0]: sentence for sentence in result.data.differences}
+    assert set(reported) == {'zero of the link encoder of', 'torque of'}
     for what, joint, expected in (('zero of the link encoder of', 'joint1', 4.0),
                                   ('torque of', 'joint2', 0.02)):
-        said, value = told[what].split(f'{what} ')[1].split()[:2]
+        said, value = reported[what].split(f'{what} ')[1].split()[:2]
         assert said == joint and float(value) == pytest.approx(expected, rel=0.1)
-        assert told[what].endswith('in recording 2') and told[what] in result.words
+        assert reported[what].endswith('in recording 2') and reported[what] in result.words

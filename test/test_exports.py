@@ -98,7 +98,7 @@ def test_the_blocks_yield_one_by_one(robot):
         assert found == pytest.approx(-(blocks + bias + viscous), rel=2e-3)
 
 
-@pytest.mark.parametrize(('name', 'values', 'place', 'told'), [
+@pytest.mark.parametrize(('name', 'values', 'place', 'reported'), [
     ('end_stop', {'angle': 0.1, 'stiffness': 3.0}, 0.25, -0.45),
     ('end_stop', {'angle': -0.1, 'stiffness': 3.0}, -0.25, 0.45),
     ('constant_link_torque', {'bias': -0.3}, 0.25, -0.3),
@@ -109,11 +109,11 @@ def test_the_blocks_yield_one_by_one(robot):
     ('viscous_asymmetry', {'slope': 0.002}, -0.25, -0.002 * 0.5),
     ('quadratic_drag', {'drag': 0.2}, -0.25, 0.2 * 0.25),
     ('motor_viscous', {'viscous': 0.2}, 0.25, -0.2 * 0.5)])
-def test_the_torque_of_an_effect_comes_on_top(robot, name, values, place, told):
+def test_the_torque_of_an_effect_comes_on_top(robot, name, values, place, reported):
     rate = 0.5 * np.sign(place)
     without, with_it = (torque_along(axis, rate, place) for axis in (
         axis_of(robot), axis_of(robot, **{name: values})))
-    assert with_it - without == pytest.approx(told, abs=2e-4)
+    assert with_it - without == pytest.approx(reported, abs=2e-4)
 
 
 def test_a_step_comes_late_lagged_scaled_and_limited(robot):
@@ -126,9 +126,9 @@ def test_a_step_comes_late_lagged_scaled_and_limited(robot):
         data.ctrl = 2.0
         library.mj_step(model, data)
         found.append(data.actuator_force[0] * model.actuator_gear[0, 0])
-    told = 0.6 * -np.expm1(-np.maximum(time - 0.006, 0.0) / 0.01)
-    np.testing.assert_allclose(found, told, atol=0.016)  # held over a step from its beginning
-    assert np.mean(np.subtract(found, told)) == pytest.approx(0.0, abs=3e-5)
+    reported = 0.6 * -np.expm1(-np.maximum(time - 0.006, 0.0) / 0.01)
+    np.testing.assert_allclose(found, reported, atol=0.016)  # held over a step from its beginning
+    assert np.mean(np.subtract(found, reported)) == pytest.approx(0.0, abs=3e-5)
 
 
 @pytest.mark.parametrize('changes', [
@@ -144,11 +144,11 @@ def test_inertia_and_gravity_in_mujoco_are_those_of_the_arm(robot, changes):
     library.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
     library.mj_fullM(model, data, mass)
-    told = matrices(q, *np.zeros((3, 2)), arm)
-    links, flexible = told.mass, ~arm.rigid  # with the motors of rigid joints in it
+    reported = matrices(q, *np.zeros((3, 2)), arm)
+    links, flexible = reported.mass, ~arm.rigid  # with the motors of rigid joints in it
     rows = [model.joint(name).dofadr[0] for name in one.joints]
     np.testing.assert_allclose(mass[np.ix_(rows, rows)], links, rtol=1e-6)
-    np.testing.assert_allclose(data.qfrc_bias[rows], told.gravity, atol=1e-6)
+    np.testing.assert_allclose(data.qfrc_bias[rows], reported.gravity, atol=1e-6)
     for joint in np.flatnonzero(flexible):
         dof = model.joint(one.motors[joint]).dofadr[0]
         assert mass[dof, dof] == pytest.approx(arm.motor_inertia[joint], rel=1e-5)
@@ -225,8 +225,8 @@ def test_a_step_that_is_too_long_is_refused_with_one_that_is_not(robot):
      's and below 1 s, to mujoco only')])
 def test_the_tool_says_what_is_lost_and_how_to_go_on(words, sentence, capsys):
     assert main(['export', *words.split()]) == (2 if sentence else 0)
-    printed, told = capsys.readouterr()
-    assert told == (f'gms_flex export: {sentence}\n' if sentence else '')
+    printed, reported = capsys.readouterr()
+    assert reported == (f'gms_flex export: {sentence}\n' if sentence else '')
     assert bool(printed) == (sentence is None)
 
 

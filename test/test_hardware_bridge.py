@@ -99,8 +99,8 @@ def test_a_bridge_that_stood_still_does_not_obey_what_waited_for_it():
     assert run.bridge.torque == [0.0] and run.said.startswith('FAULT: no ')
 
 
-@pytest.mark.parametrize(('asked', 'told'), [(1.0, True), (0.015, False)])
-def test_a_robot_that_swings_because_its_torque_comes_late_is_told_of_it(asked, told):
+@pytest.mark.parametrize(('asked', 'reported'), [(1.0, True), (0.015, False)])
+def test_a_robot_that_swings_because_its_torque_comes_late_is_told_of_it(asked, reported):
     """It is asked to turn round every 10 ms, and may rise by 0.02 N m in a sample of 2."""
     run = Run().enabled()
     for _ in range(100):
@@ -109,8 +109,8 @@ def test_a_robot_that_swings_because_its_torque_comes_late_is_told_of_it(asked, 
     run.q = run.motor = 1.2
     run.tick()
     assert run.said.startswith('FAULT: j is at 1.2 rad, beyond its range of -1 to 1 by more')
-    assert ('; torque_rate (10 N m/s) held back the torque of j for ' in run.said) == told
-    assert (run.bridge.counters['commands held back by torque_rate'] > 100) == told
+    assert ('; torque_rate (10 N m/s) held back the torque of j for ' in run.said) == reported
+    assert (run.bridge.counters['commands held back by torque_rate'] > 100) == reported
 
 
 def test_states_whose_command_comes_after_the_next_one_are_counted_and_told_in_a_fault():
@@ -212,7 +212,7 @@ def test_two_sources_are_told_until_one_of_them_or_nobody_sends_any_more():
     assert watch.hear('/a#1', 0) == watch.conflict(0) == ''
     both = watch.hear('', 40 * MS)
     assert both == ('2 nodes send references at once: /a#1 and somebody without a source label')
-    assert watch.conflict(80 * MS) == both  # one of them may have ended: the next one tells
+    assert watch.conflict(80 * MS) == both  # one of them may have ended: the next one shows
     assert watch.hear('', 91 * MS) == watch.conflict(91 * MS) == ''
     assert watch.hear('/a#1', 92 * MS) and watch.conflict(140 * MS)
     assert watch.conflict(143 * MS) == ''

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Inertia, gravity, stiffness and motor inertia nobody has told."""
+"""Inertia, gravity, stiffness and motor inertia nobody has reported."""
 
 from dataclasses import replace
 

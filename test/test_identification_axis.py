@@ -112,10 +112,10 @@ def test_the_torque_comes_from_the_spring_where_there_is_one(flexible, rigid):
 def test_intervals_are_true_and_narrow_where_torque_noise_is_what_limits(rigid):
     """95 % intervals of 13 numbers: fewer than 10 hits have a probability of 1 in 300."""
     estimates, truth = by_name(rigid), truths(axis(rigid=True))
-    told = {name: one for name, one in estimates.items() if np.isfinite(one.interval).all()}
-    missed = [f'{name}: {truth[name]:.5g} not in {one.interval}' for name, one in told.items()
+    reported = {name: one for name, one in estimates.items() if np.isfinite(one.interval).all()}
+    missed = [f'{name}: {truth[name]:.5g} not in {one.interval}' for name, one in reported.items()
               if not one.interval.low <= truth[name] <= one.interval.high]
-    assert len(told) >= 10 and len(missed) <= 3, missed
+    assert len(reported) >= 10 and len(missed) <= 3, missed
     for name in ('forward.static', 'forward.coulomb', 'backward.coulomb'):
         low, high = estimates[f'friction.{JOINT}.{name}'].interval
         assert high - low < 0.03 * truth[f'friction.{JOINT}.{name}']

@@ -61,7 +61,7 @@ def test_a_stribeck_curve_that_still_falls_at_the_highest_velocity_has_no_interv
 
 @pytest.mark.parametrize(('doubt', 'expected'), [(0.05, False), (1.0, True)])
 def test_a_wide_interval_is_flagged(doubt, expected):
-    """Half an interval wider than a factor of 2 tells nothing."""
+    """Half an interval wider than a factor of 2 says nothing."""
     found = estimates(PAPER, reach=0.1, travel=2.0, doubt=doubt)
     assert (NOT_IDENTIFIABLE in found['attraction'].flags) == expected
 
@@ -100,7 +100,7 @@ def test_numbers_of_one_curve_are_told_together():
 
 
 def test_a_covariance_of_few_blocks_is_wider_than_chance_and_never_narrower_than_the_samples():
-    """Ten blocks ask for 2.26 standard deviations instead of 1.96; equal scores tell nothing."""
+    """Ten blocks ask for 2.26 standard deviations instead of 1.96; equal scores say nothing."""
     scores = np.tile([[1.0], [-1.0]], (5, 1))
     wide = clustered(np.eye(1), scores, 1.0)
     assert wide[0, 0] == pytest.approx(10 / 9 * (2.262 / 1.960) ** 2 * 10.0, rel=1e-3)

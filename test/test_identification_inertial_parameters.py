@@ -37,7 +37,7 @@ def found(hidden):
 
 
 def test_base_parameters_are_as_many_as_motion_determines_and_make_the_same_torque():
-    """The rank of six revolute joints, a vertical first: 36, and four motors told from links."""
+    """The rank of six revolute joints, a vertical first: 36, and four motors apart from links."""
     arm = believed().arm
     lead, combination = base_of(arm)
     assert len(lead) == 40
@@ -78,9 +78,9 @@ def test_links_and_motors_are_as_far_off_as_their_standard_deviations_say(hidden
     """Mass and inertia of each link, which the data know together only, and motor inertia."""
     truth = np.vstack([sizes_of(hidden[0]), hidden[0].motor_inertia])
     values = np.vstack([sizes_of(found.arm), found.arm.motor_inertia])
-    told = np.isfinite(found.spread)
-    assert told[:2].all()
-    off = np.abs(np.log(values / truth))[told] / found.spread[told]
+    reported = np.isfinite(found.spread)
+    assert reported[:2].all()
+    off = np.abs(np.log(values / truth))[reported] / found.spread[reported]
     assert off.max() < 3.0
     assert np.mean(off < 1.0) > 0.5
 

@@ -121,9 +121,9 @@ def test_currents_of_one_known_constant_tell_the_others(hidden):
     currents = replace(bare, tau_motor=bare.tau_motor / SCALE / constant,
                        scale_sd=[np.inf, 0.0, np.inf, np.inf, np.inf, np.inf])
     differences = fit_base_parameters([currents], robot).differences
-    told = (differences.scale_sd < 0.05) & (differences.prior_sd > 0.0)
-    assert told.sum() >= 3
-    np.testing.assert_allclose(differences.scale[told], 1.0 / constant[told], rtol=0.06)
+    reported = (differences.scale_sd < 0.05) & (differences.prior_sd > 0.0)
+    assert reported.sum() >= 3
+    np.testing.assert_allclose(differences.scale[reported], 1.0 / constant[reported], rtol=0.06)
 
 
 def test_unknown_constants_of_all_joints_have_the_scale_of_the_masses_described(hidden):
@@ -237,7 +237,7 @@ def test_known_links_tell_an_unknown_load_of_one_recording(hidden):
     assert found.body.mass == pytest.approx(LOAD.mass, abs=0.1)
     np.testing.assert_allclose(found.body.com, LOAD.com, atol=2e-3)
     none = replace(bare, tau_motor=bare.tau_motor / SCALE, operation=Operation(load_unknown=True))
-    with pytest.raises(IdentificationError, match='which is none: leave load away'):
+    with pytest.raises(IdentificationError, match='there is no load: leave load away'):
         fit_differences([none], replace(robot, arm=arm))
 
 
@@ -303,8 +303,8 @@ def test_a_joint_without_torque_keeps_its_friction_and_the_others_are_identified
     known = np.where(np.arange(6) == 1, torque, take.tau_motor)
     take = replace(take, tau_motor=known)
     found = identify([take], replace(robot, arm=arm), options=Options(blocks=(1,)))
-    told, = [one for one in found.warnings if 'have no torque' in one]
-    assert told.startswith('hidden: joint2 have no torque that was recorded')
+    reported, = [one for one in found.warnings if 'have no torque' in one]
+    assert reported.startswith('hidden: joint2 have no torque that was recorded')
     assert [one.joint for one in found.joints] == ['joint1', 'joint4']
     coulomb, _ = friction_of(robot.arm)
     np.testing.assert_allclose(found.robot.friction.forward.coulomb[[0, 3]], coulomb[[0, 3]],

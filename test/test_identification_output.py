@@ -110,11 +110,11 @@ def test_an_arm_is_known_as_its_intervals_say_and_what_is_open_worse_than_usual(
     made = replace(made, believed=replace(made.believed, arm=replace(
         arm, motor_inertia=1.5 * arm.motor_inertia)))
     values = uncertainty_values(made)
-    told = {kind: values.get(f'uncertainty.joint1.{kind}') for kind in KINDS}
-    assert told['stiffness'] == pytest.approx(0.03) and told['gravity'] == pytest.approx(0.1)
-    assert told['damping'] == pytest.approx(0.5 * KINDS['damping'].sd)
-    assert told['motor_inertia'] == pytest.approx(4.0 * KINDS['motor_inertia'].sd)
-    assert told['inertia'] is None
+    found = {kind: values.get(f'uncertainty.joint1.{kind}') for kind in KINDS}
+    assert found['stiffness'] == pytest.approx(0.03) and found['gravity'] == pytest.approx(0.1)
+    assert found['damping'] == pytest.approx(0.5 * KINDS['damping'].sd)
+    assert found['motor_inertia'] == pytest.approx(4.0 * KINDS['motor_inertia'].sd)
+    assert found['inertia'] is None
     spread = np.array([[0.01, 0.3], [0.2, np.inf], [np.inf, np.inf]])
     values = uncertainty_values(replace(made, spread=spread))
     for joint, kind, sd in (('joint1', 'gravity', 0.01), ('joint2', 'gravity', 0.06),
@@ -163,11 +163,11 @@ def test_report_json_is_strictly_valid_and_complete(tmp_path):
     made = edited(identification(), held_out=ERRORS._replace(
         repeatability=np.nan, free_run_rms=np.inf, torque_rms=np.float32(0.5)))
     write_report_json(made, tmp_path / 'report.json')
-    told = json.loads((tmp_path / 'report.json').read_text('utf-8'), parse_constant=pytest.fail)
-    assert told == report_json(made)
-    assert (told['duration'], told['sources'], told['warnings']) == (
+    found = json.loads((tmp_path / 'report.json').read_text('utf-8'), parse_constant=pytest.fail)
+    assert found == report_json(made)
+    assert (found['duration'], found['sources'], found['warnings']) == (
         412.5, ['bags/a', 'bags/b'], ['3 samples were lost.'])
-    first, second = told['joints']
+    first, second = found['joints']
     assert first['held_out']['repeatability'] is first['held_out']['free_run_rms'] is None
     assert first['held_out']['torque_rms'] == 0.5 and first['side'] == 'spring'
     assert [each['n_blocks'] for each in first['candidates'] if each['chosen']] == [4]

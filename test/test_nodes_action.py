@@ -41,7 +41,7 @@ def send(arm, *points, names=NAMES, path=0.0, at_end=0.0, allowance=0.0, stamp=0
     goal.goal_tolerance = [JointTolerance(name='joint1', position=at_end)]
     goal.goal_time_tolerance.nanosec = round(1e9 * allowance)
     arm.feedback = []
-    future = arm.actions.send_goal_async(goal, lambda told: arm.feedback.append(told.feedback))
+    future = arm.actions.send_goal_async(goal, lambda sent: arm.feedback.append(sent.feedback))
     arm.until(future.done)
     handle = future.result()
     assert handle.accepted
@@ -75,8 +75,8 @@ def test_a_goal_is_followed_told_of_and_reached(arm):
                                    'the last point is reached')
     np.testing.assert_allclose(rows[-1, 0], [0.5, -0.1], atol=1e-9)
     assert len(arm.feedback) >= 5 and list(arm.feedback[0].joint_names) == NAMES
-    for told in arm.feedback:
-        assert list(told.error.positions) == pytest.approx([0.0, 0.0], abs=1e-6)
+    for sent in arm.feedback:
+        assert list(sent.error.positions) == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
 def test_a_canceled_goal_comes_to_rest(arm):

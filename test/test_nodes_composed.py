@@ -123,11 +123,11 @@ def test_another_controller_is_noticed(loop):
     """Commands of other processes come by DDS as before."""
     other = loop.say('commands')
 
-    def told():
+    def reported():
         other.publish(array_message([0.0, 0.0], f'stamp:{stamp_of(loop.states[-1])}',
                                     'source:/other'))
         return '2 controllers command at once' in loop.plant.printed()
-    loop.until(told)
+    loop.until(reported)
     loop.until(lambda: any(loop.states[-1].effort[2:]))  # one is left: torque flows again
 
 

@@ -79,7 +79,7 @@ def moving(lab, **options):
 
 
 def test_a_frozen_encoder_ends_torque_until_it_is_reset_or_the_angle_changes(lab):
-    """At 20 mrad of what its velocity tells, 40 ms; afterwards torque rises from zero."""
+    """At 20 mrad beyond its velocity, 40 ms; afterwards torque rises from zero."""
     for leads_on in ('reset', 'angle'):
         lab.until(lambda: moving(lab))
         lab.until(lambda: moving(lab, **STANDS))
@@ -100,7 +100,7 @@ def test_a_frozen_encoder_ends_torque_until_it_is_reset_or_the_angle_changes(lab
 def test_another_source_that_is_alone_is_followed_at_once(lab):
     """As after a restart of the trajectory node: its source is new, the old one silent."""
     lab.until(lambda: moving(lab, source=['source:/a#1']))
-    later = time.monotonic() + 0.3  # 50 ms of silence at least, and all of that is told
+    later = time.monotonic() + 0.3  # 50 ms of silence at least, and all of that is reported
     lab.until(lambda: time.monotonic() > later)
     known = len(lab.said)
     lab.until(lambda: moving(lab, source=['source:/a#2']) and 'following' in lab.said[known:])

@@ -37,7 +37,7 @@ class Chain:
         self.bridge = Bridge(node_values.bridge_from_values(
             values | {f'limits.joint1.{name}': value for name, value in limits.items()},
             self.model.joints, self.model.motors))
-        self.health = SimpleNamespace(fault='', name='controller', tell=lambda *_: None,
+        self.health = SimpleNamespace(fault='', name='controller', report=lambda *_: None,
                                       warn=lambda *_, **__: None)
         self.follower = following.Follower(self.model, self.gains, VALUES, self.health)
         self.sent, self.rng = np.zeros(2), np.random.default_rng(1)

@@ -87,7 +87,7 @@ def test_a_state_is_due_a_period_after_the_last_one_where_the_clock_jumps_ahead(
 
 
 def test_stamps_are_near_the_clock_again_after_a_stop(tmp_path):
-    """Whole periods are left out, and it is told how many; afterwards the pace is as before."""
+    """Whole periods are left out, and it is said how many; afterwards the pace is as before."""
     with Lab(tmp_path) as lab:
         states = lab.hear('states')
         plant = lab.start('plant_node', rate=50.0)

@@ -54,7 +54,7 @@ def run_file(name, path):
 
 @pytest.fixture
 def start(monkeypatch, tmp_path):
-    """Return a function that tells what a launch file starts with some arguments."""
+    """Return a function that returns what a launch file starts with some arguments."""
     for name in SHOWN:
         register(name, tmp_path)
     monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))

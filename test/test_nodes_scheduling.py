@@ -16,7 +16,7 @@ SCHED_GETATTR = {'x86_64': 315, 'aarch64': 275}
 
 
 def slice_of_this_thread():
-    """Return the slice that Linux tells [ns], 0 where it knows of none."""
+    """Return the slice that Linux reports [ns], 0 where it knows of none."""
     size = 48
     words = (ctypes.c_uint64 * (size // 8))()
     number = SCHED_GETATTR[platform.machine()]
@@ -29,7 +29,7 @@ def slice_of_this_thread():
 def test_a_slice_is_short_in_this_thread_and_in_those_it_starts_and_nowhere_else():
     before = slice_of_this_thread()
     if not before:
-        pytest.skip('this Linux is older than 6.12: it tells no slices')
+        pytest.skip('this Linux is older than 6.12: it reports no slices')
 
     def shortened():
         nice = os.getpriority(os.PRIO_PROCESS, 0)

@@ -47,7 +47,7 @@ def test_what_a_residual_follows_is_told_by_its_power():
 
 
 def moving_joint(count=12_000):
-    """Return what Along tells of one rigid joint, and a residual that is its direction."""
+    """Return the Along of one rigid joint, and a residual that is its direction."""
     rng = np.random.default_rng(3)
     names = ('link angle', 'link rate', 'link acceleration', 'torque', 'time')
     values = {name: rng.normal(size=count) for name in names}
@@ -61,12 +61,12 @@ def moving_joint(count=12_000):
 def test_what_a_residual_depends_on_is_told_beside_what_is_chance():
     along, before, chance = moving_joint()
     found = {one.variable: one for one in over_all(along, before, chance, chance)}
-    told = found['direction']
-    assert 0.45 < told.shares[0] < 0.55 and max(told.shares[1:]) < 0.02
-    assert told.off_zero[0] == 1.0
+    reported = found['direction']
+    assert 0.45 < reported.shares[0] < 0.55 and max(reported.shares[1:]) < 0.02
+    assert reported.off_zero[0] == 1.0
     assert found['time [s]'].shares[0] < 0.03 and found['time [s]'].off_zero[0] < 0.2
-    values = over_values(told)
-    assert values['share']['before'] == told.shares[0] and values['equation'] == 'link'
+    values = over_values(reported)
+    assert values['share']['before'] == reported.shares[0] and values['equation'] == 'link'
 
 
 def test_a_map_shows_what_is_more_than_chance():
@@ -79,9 +79,9 @@ def test_a_map_shows_what_is_more_than_chance():
 
 
 def test_a_number_that_is_not_finite_is_null():
-    told = plain({'a': np.float64(np.nan), 'b': (np.int64(3), np.array([1.0, np.inf])),
+    reported = plain({'a': np.float64(np.nan), 'b': (np.int64(3), np.array([1.0, np.inf])),
                   'c': Value('gap', 'rad', 1.0, -np.inf, 2.0)})
-    assert told == {'a': None, 'b': [3, [1.0, None]], 'c': ['gap', 'rad', 1.0, None, 2.0]}
+    assert reported == {'a': None, 'b': [3, [1.0, None]], 'c': ['gap', 'rad', 1.0, None, 2.0]}
 
 
 def test_pictures_are_drawn_of_any_names_and_of_nothing(tmp_path):

@@ -58,9 +58,9 @@ def test_mujoco_finds_our_mass_matrix_in_the_links(arm, q):
     kinds = {joint.get('type') for joint in ElementTree.fromstring(text).iter('joint')}
     assert kinds == {'prismatic' if one.arm.axes == 'linear' else 'continuous'}
     found = mujoco_mass(text, one.joints, q)
-    told = matrices(q, ZERO, ZERO, ZERO, one.arm).mass
+    reported = matrices(q, ZERO, ZERO, ZERO, one.arm).mass
     rigid = np.diag(np.where(one.arm.rigid, one.arm.motor_inertia, 0.0))
-    assert np.allclose(found, told - rigid, rtol=1e-9, atol=1e-9)
+    assert np.allclose(found, reported - rigid, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize('q', [(0.0, 0.0), (0.3, 1.1)])
@@ -70,9 +70,9 @@ def test_motors_turn_with_the_link_before_them(q):
     names = (*one.joints, *one.motors)
     found = mujoco_mass(robot_urdf(one), names, (*q, 0.7, -0.4))
     absolute = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 1.0]])  # of (dq_link, dq_motor)
-    told = absolute.T @ np.diag(one.arm.motor_inertia) @ absolute
-    told[:2, :2] += matrices(q, ZERO, ZERO, ZERO, one.arm).mass
-    assert np.allclose(found, told, rtol=1e-6, atol=1e-6)  # rotors have a mass of 1e-6 kg
+    reported = absolute.T @ np.diag(one.arm.motor_inertia) @ absolute
+    reported[:2, :2] += matrices(q, ZERO, ZERO, ZERO, one.arm).mass
+    assert np.allclose(found, reported, rtol=1e-6, atol=1e-6)  # rotors have a mass of 1e-6 kg
 
 
 def test_joints_are_named_and_joined_as_in_the_robot():

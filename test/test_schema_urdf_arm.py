@@ -143,9 +143,9 @@ def test_derivatives_are_those_of_finite_differences(crooked_arm):
     before, now, after = (chain.matrices(*at(t + k * step), crooked_arm) for k in (-1, 0, 1))
     for name in ('mass', 'coriolis', 'gravity'):
         for lower, upper in (('', 'd'), ('d', 'dd')):
-            told = getattr(now, upper + name)
+            reported = getattr(now, upper + name)
             slope = (getattr(after, lower + name) - getattr(before, lower + name)) / (2 * step)
-            np.testing.assert_allclose(told, slope, rtol=0, atol=1e-7 * np.abs(slope).max())
+            np.testing.assert_allclose(reported, slope, rtol=0, atol=1e-7 * np.abs(slope).max())
     skew = now.dmass - 2.0 * now.coriolis
     np.testing.assert_allclose(skew, -skew.T, atol=1e-11)
 

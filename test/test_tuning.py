@@ -100,19 +100,19 @@ def test_at_the_delay_margin_the_simulated_robot_begins_to_swing(flexible):
 def test_encoder_noise_causes_the_torque_that_is_told(flexible):
     noisy = replace(flexible, encoder=EncoderParams(noise=1e-4, velocity_cutoff=50.0))
     loop = linear_loop(noisy, noisy, gains_of(), Timing(2e-3, 0.0), STILL)
-    told = margins.jitter(loop, noisy.encoder)
+    reported = margins.jitter(loop, noisy.encoder)
     run = closed_loop.run(noisy, noisy, gains_of(), builders.hold(STILL), duration=60.0)
-    assert told.torque[0] == pytest.approx(run.command[1000:].std(), rel=0.03)
-    assert told.angle[0] == pytest.approx(run.true[1000:, 0].std(), rel=0.1)
+    assert reported.torque[0] == pytest.approx(run.command[1000:].std(), rel=0.03)
+    assert reported.angle[0] == pytest.approx(run.true[1000:, 0].std(), rel=0.1)
 
 
 def test_a_constant_torque_moves_the_link_as_far_as_is_told(flexible):
     push = EffectSpec(name='constant_link_torque', joint='axis', values=(0.02,))
     run = closed_loop.run(replace(flexible, effects=(push,)), flexible, gains_of(),
                           builders.hold(STILL), duration=6.0)
-    told = compliance(flexible, flexible, gains_of(), Timing(2e-3, 0.0), STILL)
-    assert 0.02 * told[0, 0] == pytest.approx(run.true[-1, 0, 0], rel=1e-3)
-    assert told[0, 0] > 1.0 / (KD * RATE)
+    reported = compliance(flexible, flexible, gains_of(), Timing(2e-3, 0.0), STILL)
+    assert 0.02 * reported[0, 0] == pytest.approx(run.true[-1, 0, 0], rel=1e-3)
+    assert reported[0, 0] > 1.0 / (KD * RATE)
 
 
 def test_stuck_blocks_hold_a_link_like_a_spring(rigid):
@@ -212,11 +212,11 @@ def test_tune_writes_what_the_controller_loads(tmp_path, axis_file, capsys):
     args = ['tune', '--robot', str(axis_file), '--torque-limit', '2', '--bandwidth', '6',
             '--verify', '3', '--json', '--out']
     assert main([*args, str(tmp_path / 'a')]) == 0
-    told = json.loads(capsys.readouterr().out)
+    reported = json.loads(capsys.readouterr().out)
     gains = files.load_controller(tmp_path / 'a' / 'controller.yaml', files.load_robot(axis_file))
-    assert gains.kd_link[0] == told['gains']['gains.axis.kd_link']
+    assert gains.kd_link[0] == reported['gains']['gains.axis.kd_link']
     assert gains.compensation == 'gms' and gains.torque_limit[0] == 2.0
-    assert told['met'] and told['verify']['draws'] == 3 and not told['verify']['lost']
+    assert reported['met'] and reported['verify']['draws'] == 3 and not reported['verify']['lost']
     assert (tmp_path / 'a' / 'tuning.png').stat().st_size > 10_000
 
 
@@ -247,9 +247,9 @@ def test_tune_says_no_where_nothing_fits(tmp_path, axis_file, capsys):
 def test_a_torque_limit_that_is_met_is_told_by_compensation(tmp_path, capsys):
     assert main(['tune', '--torque-limit', '0.1', '--bandwidth', '4', '--out',
                  str(tmp_path)]) == 1
-    told = [line.partition(';')[0].partition('torque limit for ')
+    reported = [line.partition(';')[0].partition('torque limit for ')
             for line in capsys.readouterr().out.splitlines() if 'at the torque limit' in line]
-    where = [(joint, share.partition(' % ')[2]) for joint, _, share in told]
+    where = [(joint, share.partition(' % ')[2]) for joint, _, share in reported]
     assert where and len(set(where)) == len(where)
     assert {place.partition(', ')[2] for _, place in where} == {
         'compensation none', 'compensation gms'}

@@ -248,7 +248,7 @@ def check_gains(browser, lab):
 
 
 def check_requests(browser):
-    """Stop in an emergency, be told the way on, take it; stop the motion and start it anew."""
+    """Stop in an emergency, read the way on, take it; stop the motion and start it anew."""
     def request(name, state, reason='', answer=''):
         browser.click(f'#ask-{name}')
         browser.until(f'document.getElementById("robot-state").textContent === {state!r}')

@@ -39,7 +39,7 @@ def try_stamps(bench, tries, tally):
 
 
 def _try_one(robot, clock, fault, tally):
-    """Try one fault, again where the machine was too busy to tell; return what it expects."""
+    """Try one fault, again where the machine was too busy to decide; return what it expects."""
     for _ in range(_PATIENCE):
         begin = time.monotonic()
         expected = fault(robot, clock)

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Exceptions in callbacks: one traceback, zero torque, a fault that is told, life after it."""
+"""Exceptions in callbacks: one traceback, zero torque, a fault that is reported, life after it."""
 
 import time
 
@@ -69,8 +69,8 @@ def try_place(bench, place, tally):
     if cause is not None:
         robot.settle()
         cause(robot, node)
-    told = robot.until(lambda: 'FAULT' in robot.diagnostics.sentence(node))
-    tally.expect(told and robot.diagnostics.level(node) == _ERROR,
+    reported = robot.until(lambda: 'FAULT' in robot.diagnostics.sentence(node))
+    tally.expect(reported and robot.diagnostics.level(node) == _ERROR,
                  f'{where}: no FAULT on /diagnostics')
     zero = robot.until(lambda: robot.commands and not any(robot.commands[-1].data))
     tally.expect(zero, f'{where}: no zero torque')

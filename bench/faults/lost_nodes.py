@@ -53,9 +53,9 @@ def try_dead_controller(bench, tries, tally):
         loop.run(_GONE)
         zero = zero_applied(loop, begin)
         tally.figure((zero - begin) * 1e3 if zero else np.inf)
-        told = loop.diagnostics.sentence(PLANT)
-        tally.expect('no command from /cascade_controller' in told and ' ms' in told,
-                     f'the plant says {told!r} of a silence')
+        reported = loop.diagnostics.sentence(PLANT)
+        tally.expect('no command from /cascade_controller' in reported and ' ms' in reported,
+                     f'the plant says {reported!r} of a silence')
         if k % 2:
             process.wait()
             loop.start_controller(f'controller_node.{k}')
@@ -88,7 +88,7 @@ def _pushed(loop, begin):
     """
     Return (time, state) of the plant's states with torque since a moment.
 
-    What the new controller sends would tell less: the bench may discover it seconds later than
+    What the new controller sends would show less: the bench may discover it seconds later than
     the plant does.
     """
     return [(when, state) for when, state in loop.states.since(begin) if torque_of(state).any()]
@@ -114,7 +114,7 @@ def try_lost_reference(bench, tries, tally):
         tally.expect(any(torque_of(state).any() for state in late), 'the arm was not held')
         moved = np.ptp([state.position[:2] for state in late], axis=0).max()
         if loop.stalled(begin):
-            tally.notes.append('the machine was too busy to tell whether the arm was held still')
+            tally.notes.append('the machine was too busy to show whether the arm was held still')
         else:
             tally.expect(moved < _STILL, f'the held arm moved by {moved:.3g} rad')
         loop.run(0.5 * _HOLD + _RELAX + 0.5)
@@ -142,9 +142,9 @@ def try_two_controllers(bench, tries, tally):
         loop.run(_GONE)
         zero = zero_applied(loop, begin)
         tally.figure((zero - begin) * 1e3 if zero else np.inf)
-        told = loop.diagnostics.sentence(PLANT)
-        tally.expect(str(first.process.pid) in told and str(second.process.pid) in told,
-                     f'the plant does not name both: {told!r}')
+        reported = loop.diagnostics.sentence(PLANT)
+        tally.expect(str(first.process.pid) in reported and str(second.process.pid) in reported,
+                     f'the plant does not name both: {reported!r}')
         first.kill()
         bench.until(loop.moves)
         loop.run(_GONE)
@@ -238,6 +238,6 @@ def _start_second(loop, name, tally):
 
 
 def _expect_named(loop, tally, *names):
-    told = loop.diagnostics.sentence(CONTROLLER)
-    tally.expect(all(name in told for name in names),
-                 f'the controller does not name both: {told!r}')
+    reported = loop.diagnostics.sentence(CONTROLLER)
+    tally.expect(all(name in reported for name in names),
+                 f'the controller does not name both: {reported!r}')

@@ -104,7 +104,7 @@ class Bench:
     A private domain with node processes in it and a probing node in this process.
 
     Logs go to ``folder``; ``priority`` is the realtime_priority of the nodes of the loop. The
-    ``executor_class`` is that of the probing node: EventsExecutor is faster, but cannot tell when
+    ``executor_class`` is that of the probing node: EventsExecutor is faster, but does not say when
     a message was published, as `rigs.Log` asks.
     """
 
@@ -170,7 +170,7 @@ class Bench:
 
     def start(self, name, *, command=None, files=None, arguments=(), **parameters):
         """
-        Start a node, ``name`` such as ``plant_node``; what follows a '.' only tells two apart.
+        Start a node, ``name`` such as ``plant_node``; what follows a '.' only separates two.
 
         ``command`` (list of str) runs instead of the installed executable, ``arguments`` are more
         of the command line, ``files`` parameter files, by default `default_files`; ``parameters``

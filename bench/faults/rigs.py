@@ -34,7 +34,7 @@ class Log:
     """
     Messages with the time at which they were published [s], in the order of coming.
 
-    That time is told by DDS and counted as time.monotonic() does: a bench that is late in
+    DDS gives that time, counted as time.monotonic() does: a bench that is late in
     reading does not make the nodes late.
     """
 
@@ -48,7 +48,7 @@ class Log:
         self.messages.append(message)
 
     def take(self, message, info):
-        """Take a message and what DDS tells of it."""
+        """Take a message and what DDS adds to it."""
         self.times.append(info['source_timestamp'] / NANOSECONDS - self._offset)
         self.messages.append(message)
 

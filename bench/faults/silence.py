@@ -15,8 +15,8 @@ _LONG_ENOUGH = 0.3   # of silence [s]; the observer outlives it
 _REMEMBERED = 0.3    # of the friction estimate before it, at least; a reset leaves nothing
 _FAINT = 0.02        # an estimate too small to compare [N m]
 _FAST = 0.25         # links move at least that fast when an encoder freezes [rad/s]
-_LONGEST = 5.0       # until it is told [s]
-_AFTERWARDS = 0.5    # so long it stays after it was told [s]
+_LONGEST = 5.0       # until it is reported [s]
+_AFTERWARDS = 0.5    # so long it stays after it was reported [s]
 
 
 def try_silence(bench, tries, tally):
@@ -72,11 +72,11 @@ def _try_to_freeze(robot, name, angles, moving, tally):
     robot.until(lambda: min(map(abs, robot.message().velocity[:2])) > _FAST)
     before, begin, moment = _count(robot), robot.stamp, time.monotonic()
     robot.spoil = freeze = _Freeze(robot, angles, moving)
-    told = robot.until(lambda: all(NAMES[k] in robot.diagnostics.sentence(CONTROLLER)
-                                   for k in angles), _LONGEST)
-    tally.expect(told, f'{name}: the controller says {robot.diagnostics.sentence(CONTROLLER)!r}')
+    named = robot.until(lambda: all(NAMES[k] in robot.diagnostics.sentence(CONTROLLER)
+                                for k in angles), _LONGEST)
+    tally.expect(named, f'{name}: the controller says {robot.diagnostics.sentence(CONTROLLER)!r}')
     later = robot.run(_AFTERWARDS)
-    tally.expect(not robot.largest(later), f'{name}: a torque though it was told')
+    tally.expect(not robot.largest(later), f'{name}: a torque though it was reported')
     torques = [stamp_of(one) for _, one in robot.commands.since(moment) if any(one.data)]
     zero = max(torques, default=begin) + PERIOD
     if moving:  # the other way round it hangs on the torque
@@ -100,7 +100,7 @@ class _Freeze:
     """
     Replaces some angles of a state by those of now, and their velocities by zero if asked.
 
-    From the stamp ``wrong`` [ns] on one of the angles is further off than a velocity may tell.
+    From the stamp ``wrong`` [ns] on one of the angles is further off than a velocity may explain.
     """
 
     def __init__(self, robot, angles, moving):

@@ -41,10 +41,10 @@ class _Gaps:
         self._last, self._gaps = None, []
 
     def append(self, message):
-        """Take a command (never used: the bench tells the time of publishing)."""
+        """Take a command (never used: the bench keeps the time of publishing)."""
 
     def take(self, _message, info):
-        """Take a command and what DDS tells of it."""
+        """Take a command and what DDS adds to it."""
         now = info['source_timestamp'] / NANOSECONDS
         if self._last is not None:
             self._gaps.append(now - self._last)
@@ -63,7 +63,7 @@ def soak(bench, duration, *, window=WINDOW, say=lambda text: None):
     """
     Run plant, controller and trajectory in real time for ``duration`` [s]; return its Windows.
 
-    Each is of ``window`` [s]; ``say`` is told about it.
+    Each is of ``window`` [s]; ``say`` is reported about it.
     """
     gaps, files = _Gaps(), [*default_files(), config('sinusoid.yaml')]
     bench.listen(Float64MultiArray, COMMANDS, gaps)

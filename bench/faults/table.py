@@ -26,7 +26,7 @@ _LIMIT = wrong_messages.LIMIT * 1.001  # rounding aside
 
 FAULTS = {fault.name: fault for fault in (
     Fault(name='dead-controller', fault='controller killed or frozen',
-          required='no torque within 50 ms, the silence is told',
+          required='no torque within 50 ms, the silence is reported',
           figure='torque ends after', limit=50.0, unit='ms', tries=(4, 20),
           run=lost_nodes.try_dead_controller),
     Fault(name='silence', fault='joint states stop or repeat themselves',
@@ -34,7 +34,7 @@ FAULTS = {fault.name: fault for fault in (
           figure='zero commanded after', limit=50.0, unit='ms', tries=(4, 20),
           run=silence.try_silence),
     Fault(name='frozen-encoders', fault='angles stay the same while their stamps go on',
-          required='zero once a velocity tells of 20 mrad (and 30 ms; 20 ms for a busy machine), '
+          required='zero once a velocity makes 20 mrad (and 30 ms; 20 ms for a busy machine), '
                    'or the torque changed; encoder named',
           figure='zero commanded after 20 mrad and', limit=50.0, unit='ms', tries=(3, 12),
           run=silence.try_frozen_encoders),
@@ -57,7 +57,7 @@ FAULTS = {fault.name: fault for fault in (
           figure='slowest answer', limit=100.0, unit='ms', tries=(150, 1000),
           run=wrong_messages.try_parameters),
     Fault(name='exceptions', fault='exception in a callback',
-          required='one traceback, zero torque, FAULT told, executor alive',
+          required='one traceback, zero torque, FAULT reported, executor alive',
           figure='torque in FAULT', limit=0.0, unit='N m', tries=(3, len(exceptions.PLACES)),
           run=exceptions.try_exceptions),
     Fault(name='restart', fault='controller restarted while moving',

@@ -124,7 +124,7 @@ def try_mismatch(bench, tries, tally):
         if k:  # the first time the process had to start
             tally.figure(time.monotonic() - begin)
         said = controller.printed().splitlines()[-1]
-        tally.expect(topic in said and '/probe' in said, f'a mismatch is told as {said!r}')
+        tally.expect(topic in said and '/probe' in said, f'a mismatch is reported as {said!r}')
         bench.until(lambda topic=topic: topic in diagnostics.sentence(CONTROLLER), 5.0)
         destroy(end)
         forgotten = time.monotonic() + 1.5

@@ -27,7 +27,7 @@ class Figure(NamedTuple):
     """One line of the table."""
 
     name: str  # what it is
-    value: float | None  # share, median or number; None where no outcome tells
+    value: float | None  # share, median or number; None without any outcome
     required: float | None  # what it must reach; None if it is only reported
     at_least: bool  # whether more is better
     count: int  # outcomes it is taken over
@@ -35,7 +35,7 @@ class Figure(NamedTuple):
 
     @property
     def met(self):
-        """Return whether it is reached; None where no outcome tells or nothing is required."""
+        """Return whether it is reached; None where it is unknown or nothing is required."""
         if self.value is None or self.required is None:
             return None
         return self.value >= self.required if self.at_least else self.value <= self.required
@@ -197,7 +197,7 @@ def of_population(outcomes, population):
     """
     Return what the workflow is worth in one population, of ``outcomes`` of `try_job`.
 
-    Number of cases, shares, and medians by name (dict); None where no outcome tells.
+    Number of cases, shares, and medians by name (dict); None without any outcome.
     """
     single, clean, double, clutter, outside = (
         chosen(outcomes, kind, population)

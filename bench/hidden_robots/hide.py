@@ -42,7 +42,7 @@ add_parser = partial(add_verb, VERB)
 
 def run(args):
     """Write the cases; return 0."""
-    told, population = [], '' if args.population == 'home' else f'_{args.population}'
+    reported, population = [], '' if args.population == 'home' else f'_{args.population}'
     for kind in args.kind:
         for seed in seeds_of(args.seeds):
             folder = Path(args.out) / f'{kind}_{seed}{population}'
@@ -53,11 +53,11 @@ def run(args):
             case = make_case(kind, seed, population=args.population, plant=args.plant,
                              duration=args.duration, effect=args.effect)
             write_case(case, folder)
-            told.append({'folder': str(folder), **truth_values(case.truth)})
+            reported.append({'folder': str(folder), **truth_values(case.truth)})
             if not args.json:
                 print(f'{folder}: {case.truth.population}, {case.truth.plant}')
     if args.json:
-        print(json.dumps(told, indent=2))
+        print(json.dumps(reported, indent=2))
     return 0
 
 

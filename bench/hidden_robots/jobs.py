@@ -57,7 +57,7 @@ SETS = {
 
 def jobs_of(name, share=1.0):
     """
-    Return the Jobs of a set, kinds mixed evenly so that a part of a run tells of all of them.
+    Return the Jobs of a set, kinds mixed evenly so that a part of a run has all of them.
 
     A ``share`` of it from its beginning. ConfigError if there is no such set or no such share.
     """

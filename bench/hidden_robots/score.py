@@ -139,7 +139,7 @@ def aligned(rows):
 
 
 def shown(value, percent):
-    """Return a figure as text, a dash where nothing tells."""
+    """Return a figure as text, a dash where it is unknown."""
     if value is None:
         return '-'
     return f'{100.0 * value:.1f} %' if percent else f'{value:.3g}'
@@ -168,13 +168,13 @@ def table(outcomes):
 
 def populations(outcomes):
     """Return a line of figures for each population, str; the workflow alone."""
-    told = populations_of(outcomes)
-    rows = [['population', *next(iter(told.values()), ())]]
-    for name, values in told.items():
+    reported = populations_of(outcomes)
+    rows = [['population', *next(iter(reported.values()), ())]]
+    for name, values in reported.items():
         rows.append([name, *(f'{value:.3g}' if value is not None and key in NUMBERS
                              else '-' if value is None else f'{100.0 * value:.0f} %'
                              for key, value in values.items())])
-    return aligned(rows) if told else ''
+    return aligned(rows) if reported else ''
 
 
 def populations_of(outcomes):

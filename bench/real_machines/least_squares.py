@@ -124,10 +124,10 @@ class Squares:
         return [k for k, column in enumerate(self.columns)
                 if groups is None or column.group in groups]
 
-    def _cost(self, kept, delay, fit, told):
-        """Return what the weights of the folds ``fit`` leave of the squares of those ``told``."""
+    def _cost(self, kept, delay, fit, held_out):
+        """Return what weights of the folds ``fit`` leave of squares of those ``held_out``."""
         weights = self._weights(kept, self._products[delay][fit].sum(axis=0))
-        product = self._products[delay][told].sum(axis=0)
+        product = self._products[delay][held_out].sum(axis=0)
         line = np.append(weights, -1.0)
         rows = [*kept, len(self.columns)]
         return float(line @ product[np.ix_(rows, rows)] @ line)

@@ -23,7 +23,7 @@ _PEAK = 0.995                   # quantile of the speed that is called its peak
 _SLOW = 0.1                     # of the usual speed: below, a ripple is not looked for
 _PER_WAVE = 6                   # bins of the angle per period of the finest ripple
 _FINER = 8                      # orders looked at per order that the travel resolves
-_SEEN = 0.01                    # of the time: slower than v0, else its shape is not told
+_SEEN = 0.01                    # of the time: slower than v0, else its shape is not determined
 _INERTIAL = ('inertia', 'gravity')
 
 
@@ -54,7 +54,7 @@ def further(parts, plain=None):
     """
     Return the Columns beyond the textbook's, ripple left out.
 
-    The Fit ``plain`` of the textbook's columns tells the load; without it the load is constant.
+    The Fit ``plain`` of the textbook's columns gives the load; without it the load is constant.
     """
     travel = max(float(np.ptp(m.angle[mask])) for m, mask in parts)
     top = max(peak(m) for m, _ in parts)

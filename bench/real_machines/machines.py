@@ -58,7 +58,7 @@ class Machine:
     estimate: str = 'all'
     gravity: bool = False  # whether it acts on the axis
     loaded: bool = False  # whether the load of the axis changes
-    unit: str = 'N m'  # in which torques are told
+    unit: str = 'N m'  # in which torques are reported
     factor: float = 1.0  # by which they are multiplied for it
     length: tuple = ('mrad', 1e3)  # likewise of angles in free runs
     # a second, higher band in which least squares and models are compared [Hz]; 0 for none

@@ -62,7 +62,7 @@ def write(args, outcomes, skipped):
         for name, outcome in firsts.items():
             pictures.draw(outcome, folder / pictures.NAMES[name])
     if args.out:
-        told = json.dumps(table.as_json(outcomes, skipped), indent=2, allow_nan=False)
-        (args.out / 'results.json').write_text(f'{told}\n', encoding='utf-8')
+        reported = json.dumps(table.as_json(outcomes, skipped), indent=2, allow_nan=False)
+        (args.out / 'results.json').write_text(f'{reported}\n', encoding='utf-8')
     if args.docs:
         table.into_document(DOCUMENT, outcomes, skipped, shown)

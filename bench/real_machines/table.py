@@ -32,21 +32,21 @@ def rows(outcomes, most=None):
                 one.torque, one.textbook, one.library, one.chosen, one.identified, one.final)]
             torques[0] += f' {machine.unit}'
             first = [f'{machine.title}: {outcome.split}'] if k == 0 else ['']
-            told = _told(outcome, machine) if k == 0 else [''] * 5
-            table.append([*first, f'{one.band:g}', *torques, f'{one.ratio:.2f}', *told])
+            reported = _reported(outcome, machine) if k == 0 else [''] * 5
+            table.append([*first, f'{one.band:g}', *torques, f'{one.ratio:.2f}', *reported])
     return table
 
 
-def _told(outcome, machine):
+def _reported(outcome, machine):
     """Return the cells of a row that are the same in every band."""
     unit, factor = machine.length
     free = '-'
     if math.isfinite(outcome.free_before):
         free = f'{factor * outcome.free_before:.3g} -> {factor * outcome.free_after:.3g} {unit}'
     named = [effect for effect, _ in outcome.named]
-    told = [effect if effect in outcome.added else f'{effect} (not added)' for effect in named]
+    reported = [effect if effect in outcome.added else f'{effect} (not added)' for effect in named]
     known = [f'{one.words}: {_as_named(one, named, outcome)}' for one in machine.known]
-    return [free, outcome.verdict, ', '.join(told) or '-', '; '.join(known) or '-',
+    return [free, outcome.verdict, ', '.join(reported) or '-', '; '.join(known) or '-',
             f'{outcome.identify_seconds + outcome.seconds:.0f}']
 
 

@@ -59,8 +59,8 @@ def measure(_robot, _gains, quick: bool = False) -> Iterator[Measurement]:
         yield Measurement(suite='export', name=f'{name}: MuJoCo / our free run', unit='',
                           value=ratio(name, duration, COULOMB, COULOMB), target=TARGET,
                           at_least=False)
-    for without, told in ((LUGRE, 'as LuGre'), (COULOMB, 'left out')):
-        yield Measurement(suite='export', name=f'Stribeck curve {told}, slow motion', unit='',
+    for without, reported in ((LUGRE, 'as LuGre'), (COULOMB, 'left out')):
+        yield Measurement(suite='export', name=f'Stribeck curve {reported}, slow motion', unit='',
                           value=ratio('stribeck_error', duration, without, motion='slow'),
                           note='over our whole model')
 

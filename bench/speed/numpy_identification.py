@@ -73,7 +73,7 @@ def innovations(stretch, theta, inertia, period, half, bandwidth):
 
 class PlainObjective:
     """
-    The cost of parameters of a single axis; ``objective`` tells which samples count.
+    The cost of parameters of a single axis; ``objective`` says which samples count.
 
     A block of time counts as explained below an innovation of ``floor`` [rad].
     """

@@ -132,8 +132,8 @@ class Run:
         files = [_config(f'{file}.yaml') for file in ('robot', 'controller', 'sinusoid')] + files
         command = executable(name) if timing is None else [*_TIMED, name, str(timing)]
         self.start(name, [*command, *ros_arguments(files, parameters)])
-        told = '[plant]' if name == 'loop_node' else '[INFO]'
-        self.processes.wait_for_text(name, [told], _START_BOUND)
+        reported = '[plant]' if name == 'loop_node' else '[INFO]'
+        self.processes.wait_for_text(name, [reported], _START_BOUND)
 
     def paced(self, rate, duration, names, *service):
         """Run the pacer until it has measured; return its timing and the processor time."""

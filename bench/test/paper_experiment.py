@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A short simulated identification experiment of a robot whose friction nobody was told."""
+"""A short simulated identification experiment of a robot whose friction nobody was reported."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -122,8 +122,8 @@ def test_hide_writes_what_a_user_has_and_the_truth(tmp_path, capsys):
     np.testing.assert_array_equal(robot.arm.stiffness, case.nominal.arm.stiffness)
     gains = load_controller(folder / 'controller.yaml', robot)
     np.testing.assert_array_equal(gains.kd_motor, case.gains.kd_motor)
-    told = json.loads((folder / 'truth.json').read_text())
-    assert [one['effect'] for one in told['effects']] == [
+    reported = json.loads((folder / 'truth.json').read_text())
+    assert [one['effect'] for one in reported['effects']] == [
         spec.name for spec in case.truth.effects]
     assert main(args) == 0
     assert 'kept as it is' in capsys.readouterr().out

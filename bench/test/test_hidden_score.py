@@ -158,6 +158,6 @@ def test_score_prints_what_the_journal_holds(tmp_path, capsys):
     assert beside.startswith('2 hidden robots, 2 of them in')
     assert 'hidden robots, ' not in out and '50.0 %' in out
     assert main([*args, '--json']) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told['cases'] == 2 and told['missed'][0]['key'] == 'single/rich/drawn/60/0'
-    assert json.loads((tmp_path / 'report.json').read_text()) == told
+    reported = json.loads(capsys.readouterr().out)
+    assert reported['cases'] == 2 and reported['missed'][0]['key'] == 'single/rich/drawn/60/0'
+    assert json.loads((tmp_path / 'report.json').read_text()) == reported

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The paper's method finds friction it was not told, step by step and as a whole."""
+"""The paper's method finds friction it was not reported, step by step and as a whole."""
 
 
 from bench.__main__ import main

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A first flexible-joint model of one axis: known axes are recovered, real data are told of."""
+"""A first flexible-joint model of one axis: known axes are recovered, real data are judged."""
 
 from pathlib import Path
 

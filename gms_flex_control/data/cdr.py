@@ -202,7 +202,7 @@ def _labels(stamp):
 
 
 def stamp_of(dims) -> int | None:
-    """Return the nanoseconds of the first 'stamp:' label in a layout, None if there is none."""
+    """Return the nanoseconds of the first 'stamp:' label in a layout, None if absent."""
     for label, _, _ in dims:
         if label.startswith(STAMP_LABEL):
             try:
@@ -257,7 +257,7 @@ class _CdrReader:
             raise BagError(f'holds a string that is not text: {raw[:20]!r}') from None
 
     def doubles(self) -> tuple:
-        """Return a sequence of float64 as a tuple, empty if there is none."""
+        """Return a sequence of float64 as a tuple, empty if absent."""
         count = self._count(8)
         return self.take('d', count) if count else ()
 

@@ -23,7 +23,7 @@ def read_recording(path, joints: Sequence[str] | None = None, motors: Sequence[s
 
     ``path`` is a bag folder or file: mcap or sqlite3, plain or zstd, also one cut off. ``joints``
     are link names in the order of the command, by default those of the first joint state that are
-    not the motor of another; ``motors`` that of each joint, '' where there is none, by default
+    not the motor of another; ``motors`` that of each joint, '' where absent, by default
     ``<joint>_motor`` where the states have it. ``topics`` are by default those of our nodes, in
     the namespace they were recorded in.
 
@@ -64,7 +64,7 @@ def _read(path, joints, motors, topics=None):
 
 
 def joint_names(path) -> tuple:
-    """Return the names in the first joint state of a bag; BagError if there is none."""
+    """Return the names in the first joint state of a bag; BagError without any."""
     bag = Bag(path)
     topics = Topics().within(namespace_of(bag))
     for batch in bag.batches({topics.joint_states}):

@@ -27,7 +27,7 @@ def names_of(bag, message, topics) -> tuple:
     """
     Return the names in a joint state (bytes) of a bag.
 
-    BagError if the message is None, as there is none in the bag, or broken.
+    BagError if the message is None, which means absent, or broken.
     """
     if message is None:
         known = ', '.join(sorted(bag.topics)) or 'none'
@@ -76,7 +76,7 @@ def _row_of(wanted, stamps):
 
 def _reference_at(times, period, labels, table):
     """
-    Return the reference at times (T,) of states, shape (T, 5, n), NaN where there is none.
+    Return the reference at times (T,) of states, shape (T, 5, n), NaN where absent.
 
     That of the same time; else the nearest of ``labels`` (S,) within 1.5 periods (all [ns]),
     carried on to the state's time by the derivatives in ``table`` (S, 5, n).
@@ -200,7 +200,7 @@ class Series:
         return names_of(self._bag, self._first, self.topics)
 
     def resolved(self) -> tuple:
-        """Return joint and motor names as wanted, one motor a joint, '' where there is none."""
+        """Return joint and motor names as wanted, one motor a joint, '' where absent."""
         names, (joints, motors) = self.require_names(), self._chosen
         if joints is None:
             joints = link_names(names) if motors is None else [

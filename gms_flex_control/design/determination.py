@@ -42,7 +42,7 @@ _MEASURED_BY = {'constant_velocity': ('level', 'velocity', 'viscous'), 'break_aw
 
 
 class Worth(NamedTuple):
-    """What one motion is expected to tell."""
+    """What one motion is expected to determine."""
 
     candidate: Candidate | None  # None is the recordings so far
     information: float    # log det of it about the parameters not identified
@@ -80,7 +80,7 @@ class Determination:
         return self.compared[0]
 
     def sentence(self) -> str:
-        """Return what to record and what it will tell."""
+        """Return what to record and what it will determine."""
         known = ', '.join(f'{name} to {100.0 * sd:.2g} %' for name, sd in zip(
             self.missing, self.best.sd, strict=True))
         return (f'Record {self.duration:.0f} s of {self.best.candidate.words}: it is expected to '
@@ -109,8 +109,8 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
 
     ``missing`` is from `missing_of`, ``recordings`` are those so far; ``duration`` is of the
     motion [s], the rest as of `plan_next`. The robot keeps the limits as it is, and two standard
-    deviations of what the recordings tell away. ConfigError if nothing is missing that a motion
-    could tell, or every motion would cross a limit.
+    deviations of the posterior away. ConfigError if nothing is missing that a motion could
+    determine, or every motion would cross a limit.
     """
     say('information in the recordings so far')
     so_far = _information(recordings, robot, missing)
@@ -144,7 +144,7 @@ def experiments_for(missing: Sequence[tuple[str, str]], robots: Sequence[RobotPa
     """
     Return the Experiments that measure what is missing of the first of ``robots``.
 
-    None where there are none, or a step would cross a limit with any of the ``robots``.
+    None without any, or where a step would cross a limit with any of the ``robots``.
     """
     joints = robots[0].joints
     measured = tuple((kind, joint) for kind, joint in missing
@@ -173,7 +173,7 @@ def experiments_for(missing: Sequence[tuple[str, str]], robots: Sequence[RobotPa
 
 
 class _Information(NamedTuple):
-    """What recordings tell about relative changes of P parameters, in units of their priors."""
+    """Information of recordings on relative changes of P parameters, in units of priors."""
 
     matrix: np.ndarray    # (P, P), without the priors
     nuisances: list       # the parameters
@@ -208,7 +208,7 @@ def _information(recordings, robot, missing):
     keys = [_key(robot, likelihood.nuisances[k]) for k in own]
     wanted = {i: key for i, key in enumerate(keys) if key in missing}
     if not wanted:
-        raise ConfigError('of what was not identified no motion tells more: '
+        raise ConfigError('no motion determines what was not identified: '
                           + (', '.join(f'{name} of {joint}' for name, joint in missing)
                              or 'all is identified'))
     model = likelihood.fitted(robot, np.zeros(len(likelihood.nuisances)))

@@ -127,7 +127,7 @@ class Effect(ABC):
 
     @staticmethod
     def hardly_acts(values, scales) -> bool:
-        """Return whether motion of Scales tells too little of it to name it at such values."""
+        """Return whether motion of Scales hardly depends on it at such values."""
         return False
 
     @staticmethod

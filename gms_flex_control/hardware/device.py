@@ -61,7 +61,7 @@ class Device(ABC):
 
     @abstractmethod
     def read(self, timeout) -> Sample | None:
-        """Return the next Sample, or None if there is none within ``timeout`` seconds."""
+        """Return the next Sample, or None if none comes within ``timeout`` seconds."""
 
     @abstractmethod
     def write(self, efforts) -> None:

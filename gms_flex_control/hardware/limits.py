@@ -19,7 +19,7 @@ _SHORTEST = 0.01          # a step of the angle is judged as if it took at least
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
     """
-    Limits of each joint, arrays (n_joints,); `UNLIMITED` where there is none.
+    Limits of each joint, arrays (n_joints,); `UNLIMITED` where absent.
 
     Raises ParameterError if a limit is out of range or not finite, or the range of a joint empty.
     """
@@ -143,7 +143,7 @@ def violation(names, measured, limits) -> str:
 
 def jump(names, measured, before, elapsed, limits) -> str:
     """
-    Return a sentence about the first angle that no joint can have come by; '' if there is none.
+    Return a sentence about the first angle that no joint can have come by; '' if all can.
 
     ``before`` are ``q_link`` and ``q_motor`` [rad] of the state ``elapsed`` [s] earlier.
     """

@@ -337,7 +337,7 @@ def merge(position, velocity, effort, index, channel, slope, offset, others, tim
     """
     Take readings at a ``time`` [ns] into the ``latest`` (2, m); make a ``state`` (2, m) of them.
 
-    Return how many velocities were estimated, and the time of the state, 0 where there is none.
+    Return how many velocities were estimated, and the time of the state, 0 if absent.
     """
     estimated = 0
     if not fresh.any():  # a new state begins

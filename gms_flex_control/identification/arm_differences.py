@@ -29,13 +29,14 @@ def found_load(numbers, covariance, arm: ArmParams, source: str) -> FoundLoad:
     """
     Return the FoundLoad of ten ``numbers`` in the frame of the last link.
 
-    ``covariance`` (4, 4) is that of mass and first moment. IdentificationError if it is none.
+    ``covariance`` (4, 4) is that of mass and first moment. IdentificationError if it has no mass.
     """
     (mass, *moment), sd = numbers[:4], float(np.sqrt(covariance[0, 0]))
     if not mass > max(_SURE * sd, _TRIFLE * arm.mass.sum()):
         raise IdentificationError(
             f'{source}: the unknown load has a mass of {mass:.3g} kg within {sd:.2g} (standard '
-            'deviation), which is none: leave load away in recording.yaml, or move the arm more')
+            'deviation), so that there is no load: leave load away in recording.yaml, or move the '
+            'arm more')
     com = np.array(moment) / mass
     slopes = np.concatenate([-com[:, None], np.eye(3)], axis=1) / mass
     turn = arm.frames.end_rotation.T

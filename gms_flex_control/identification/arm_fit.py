@@ -60,7 +60,7 @@ class ArmFit(NamedTuple):
     constant: np.ndarray  # (n,), torque needed at any angle and speed [N m]
     friction: tuple  # per joint its usual friction [N m], None where not looked for
     shares: tuple    # per joint the torque of its inertia, of the whole
-    ripples: tuple   # per joint its Ripple, None where there is none
+    ripples: tuple   # per joint its Ripple or None
     loaded: np.ndarray  # (n,), friction per torque carried, 0 where it does not grow
     final: tuple = ()  # per joint its Estimates, where no correction is fitted along with friction
     differences: Differences | None = None  # between recordings, of an arm in space

@@ -136,10 +136,10 @@ class _Fit:
         self._rows, self._usual = rows_of(recordings, robot, sides, arm, base.lead, [
             carrying(slopes_of or arm, (loads or {}).get(r, one.operation.load))
             for r, one in enumerate(recordings)])
-        n, doubt = arm.n_joints, np.max([one.scale_sd for one in recordings], axis=0)
+        n, scale_sd = arm.n_joints, np.max([one.scale_sd for one in recordings], axis=0)
         known = [one.operation.load for one in recordings if not _whole_load_unknown(one)]
         loads = {load and (load.mass, *load.com) for load in known}
-        self._prior_sd = np.maximum(doubt, _DRIVE_SD if len(loads) > 1 else 0.0)
+        self._prior_sd = np.maximum(scale_sd, _DRIVE_SD if len(loads) > 1 else 0.0)
         self._coupling = recordings[0].coupling
         self._layout = layout_of(len(base.lead), recordings, self._prior_sd)
         self._links = base.combination @ all_parameters(arm)
@@ -148,7 +148,7 @@ class _Fit:
                             np.zeros(2 * len(self._layout.shared)))
         self._known_loads = [recordings[r].operation.load for r in self._layout.unknown]
         self._loaded = np.zeros(n, dtype=bool)
-        self._guess, unknown = np.ones(n), np.flatnonzero(np.isinf(doubt))
+        self._guess, unknown = np.ones(n), np.flatnonzero(np.isinf(scale_sd))
         if len(unknown):
             self._guess[unknown], self._prior_sd[unknown] = described_scales(
                 self._rows, self._torque(), self._own, unknown,
@@ -312,7 +312,7 @@ class _Fit:
         return clustered(*scatter), scatter[2]
 
     def _found_coupled(self):
-        """Return the Coupled, None where there is none."""
+        """Return the Coupled or None."""
         if self._coupling is None:
             return None
         n, part, shared = len(self._at.scale), self._layout.coupled, self._layout.shared

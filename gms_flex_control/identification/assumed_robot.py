@@ -144,8 +144,8 @@ def with_torques(recording: Recording, robot: RobotParams) -> Recording:
     """
     Return a recording in which a torque that was not recorded is 0, if others of a robot were.
 
-    A torque that never changes is none, and says nothing of its joint (`segments_of`). Where a
-    planar chain lacks one it stays unknown: its links are never left out.
+    A torque that never changes was not recorded, and says nothing of its joint (`segments_of`).
+    Where a planar chain lacks one it stays unknown: its links are never left out.
     """
     if robot.arm.kind == 'planar' and robot.n_joints > 1 or absent_joints(recording, robot):
         return recording
@@ -211,7 +211,7 @@ def effect_torque(robot: RobotParams, sides: Sequence[str], time, q_link, q_moto
     Return what the effects add to the torque that drives each link (T, n) [N m].
 
     Means from sample k to k + 1. ``sides`` as of segments.drive_sides; ``time`` (T,) is even,
-    from the beginning of the recording; angles (T, n), of a motor NaN where there is none;
+    from the beginning of the recording; angles (T, n), of an absent motor NaN;
     ``torque`` (T, n) of the drive, for effects that look at it.
     """
     acting = [spec for spec in robot.effects if find(spec.name).stage in _ON_LINK]

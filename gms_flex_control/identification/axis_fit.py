@@ -192,7 +192,7 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     rows = Rows(*(part[moving] for part in rows))
     if np.ptp(rows.torque) <= _CONSTANT * np.abs(rows.torque).max():
         raise IdentificationError(f'{source}: the torque of {joint} never changes '
-                                  f'({rows.torque[0]:.3g} N m) while it moves, which tells no '
+                                  f'({rows.torque[0]:.3g} N m) while it moves, which shows no '
                                   'inertia; record the torque that its drive gives')
     wave = np.empty((len(moving), 0)) if wave is None else wave
     gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
@@ -305,9 +305,9 @@ def fit_axis_with_ripple(recordings: Sequence, rows: Rows, joint: int, name: str
     size = float(np.hypot(*found.wave))
     if found.off > _WORTH * axis.off or size < _RIPPLE_CLEAR * found.wave_error:
         return axis, None
-    doubt = found.wave_error / size * np.sqrt(12.0) / span  # a line through the phase
+    phase_error = found.wave_error / size * np.sqrt(12.0) / span  # a line through the phase
     return found, Ripple(size, order, float(np.arctan2(-found.wave[1], -found.wave[0])),
-                         found.wave_error, float(doubt))
+                         found.wave_error, float(phase_error))
 
 
 def _nearest_best(recordings, joint, torque, order, span):

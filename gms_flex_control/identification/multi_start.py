@@ -12,7 +12,7 @@ last moments only and the cost has hardly any local minimum; soft, it says the m
 
 Where links stick and slip the cost is rough: a fit ends in one of many local minima. Those near
 the truth lie along a funnel, so that fits from perturbations of the best find a better one until
-there is none. What the good ones differ by is reported as uncertainty.
+none is better. What the good ones differ by is reported as uncertainty.
 """
 
 from collections.abc import Callable, Sequence
@@ -192,7 +192,7 @@ def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence
             start = best.free + _perturbation(coordinates, best.free, count, rng, len(ends) % 2)
             ends.append(_tried(objective, coordinates, start, prior, floor, _TRIED,
                                _HOPELESS * lowest))
-        # what the best explain decides what counts as explained: bad hollows look alike above it
+        # what the best explain counts as explained: bad local minima look alike above it
         floor = min(floor, objective.floor_of(ends[-1].evaluation.square))
         gain = _cost_above(best, floor, prior) / _cost_above(ends[-1], floor, prior)
         idle = 0 if gain > GAIN else idle + 1

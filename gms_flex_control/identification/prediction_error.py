@@ -179,7 +179,7 @@ def _standing_torque(segment, arm):
     """
     Return the torque that friction holds at rest, shape (T, n_joints) [N m].
 
-    In presliding the links accelerate too little to tell it from the encoders' steps.
+    In presliding the links' acceleration is lost in the encoders' steps.
     """
     still = np.zeros_like(segment.rate)
     return segment.torque - inverse_dynamics(np.nan_to_num(segment.angle), still, still, arm)
@@ -242,7 +242,7 @@ def coupling_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray,
     do had its share in what was fitted) and on the accelerations of the others, alone or with what
     their angles do to inertia; the share they account for is that of data they were not fitted to,
     the ``chosen`` samples or the segments ``apart``. Gravity of a chain would need many more
-    columns, which short recordings do not tell apart.
+    columns, which short recordings do not separate.
     """
     joint = objective.joint
     others = [k for k in range(len(names)) if k != joint]

@@ -125,11 +125,11 @@ def _directions(signals, robot, motion):
         spring = _spring_sign(motion, j) if j in springs else 0
         name = signals.joints[j]
         if spring < 0 and balance >= 0:
-            doubt = '' if balance > 0 else ', unless the sign of its torque is reversed'
+            proviso = '' if balance > 0 else ', unless the sign of its torque is reversed'
             found.append(Finding(
                 'swapped_sides', name, 'refuse', f'{signals.source}: motor and link of {name} '
                 'seem exchanged: its torque fits the spring between them only the other way '
-                f'round{doubt}; exchange the two names'))
+                f'round{proviso}; exchange the two names'))
         elif balance < 0:
             also = ', and its motor and link are exchanged' if spring > 0 else ''
             gravity = ', or the gravity of the robot file' if robot.arm.gravity.any() else ''

@@ -191,15 +191,16 @@ def _segment(recording, robot, sides, phases, rows, period, even):
         else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
     torque += effect_torque(robot, sides, grid - recording.time[0], whole,
                             _motors(recording, grid, time, rows), torque, period)
-    told = driven(recording, sides)
+    known = driven(recording, sides)
     windows = [smoothing_window(period, noise_of(recording.q_link[:, j]), inertia,
-                                np.std(torque[:, j]) if told[j] else np.inf)
+                                np.std(torque[:, j]) if known[j] else np.inf)
                for j, inertia in enumerate(own_inertias(rigid_where(robot, sides).arm))]
     smooth = [derivatives(whole[:, j], period, window) for j, window in enumerate(windows)]
     tested, phase = _tested(phases, recording, grid, robot.joints)
     return Segment(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
-                   tested=tested & told, phase=phase, source=recording.source, window=max(windows))
+                   tested=tested & known, phase=phase, source=recording.source,
+                   window=max(windows))
 
 
 def one_by_one(pieces: list, robot: RobotParams, loads: Sequence = (),
@@ -270,7 +271,7 @@ def _interpolated(grid, time, values):
 
 
 def _motors(recording, grid, time, rows):
-    """Return the motor angles (T, n), NaN where there are none."""
+    """Return the motor angles (T, n), NaN of absent ones."""
     return np.stack([np.interp(grid, time[known], angle[known]) if (
         known := np.isfinite(angle)).any() else np.full(len(grid), np.nan)
         for angle in recording.q_motor[rows].T], axis=1)

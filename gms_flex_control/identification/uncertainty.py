@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-How far each parameter can be trusted: its interval, or why there is none.
+How far each parameter can be trusted: its interval, or why it has no interval.
 
 Three things widen an interval. Chance: the innovations within a block of time depend on each other
 as they like, only blocks are independent (sandwich covariance, clusters of blocks). The way of
@@ -40,7 +40,7 @@ from scipy.stats import t as student
 _UPPER = 0.975          # of a 95 % interval
 _VAGUE = np.log(2.0)    # half an interval this wide in the logarithm says nothing
 _NOTHING = 2e-3         # of the friction level: a part this small is at its bound
-_BEYOND = 3.0           # times the reach of presliding: a block that slips later is none of it
+_BEYOND = 3.0           # times the reach of presliding: a block that slips later is not counted
 _STILL_FALLS = 0.05     # of F_s - F_c, left at the highest velocity: F_c is beyond the data
 _LONGEST_MEMORY = 2.0   # of an innovation that is looked for [s]
 _SMALL_STEP = 1e-4      # of a free number, for a derivative
@@ -172,7 +172,7 @@ def estimates_of(joint: str, coordinates: Coordinates, free: np.ndarray, spread:
     """
     Return the Estimates of one joint's friction.
 
-    ``reach`` is the farthest displacement in presliding [rad], 0 if there was none, ``travel``
+    ``reach`` is the farthest displacement in presliding [rad], 0 without it, ``travel``
     that at all; ``rivals`` are parameters of other models that the data do not rule out; a curve
     that still falls at ``top``, the highest velocity [rad/s], has no F_c in the data.
     """

@@ -27,7 +27,7 @@ _WATCH_PERIOD = 0.002      # how often the silence of both sides is measured [s]
 _JUST = 2_000_000          # a look so soon after another one would only hold up the loop [ns]
 _MOST_PASSED = 3           # looks that are left out one after the other
 _SWITCH = 1e-3             # for so long a look may wait for a state that is handled [s]
-_ZERO_PERIOD = 10_000_000  # zero torque is repeated that often while there is none [ns]
+_ZERO_PERIOD = 10_000_000  # period of zero torque without commands [ns]
 
 
 class BridgedRobot(SupervisedRobot):

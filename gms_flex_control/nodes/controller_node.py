@@ -203,7 +203,7 @@ class ControllerNode(Node):
                 self._outputs.command(self._outputs.sent, stamp)
             return False
         if self._lockstep and stamp == self._waiting:  # sent again while we wait
-            self.health.tell(WARN, 'waiting for a reference')
+            self.health.report(WARN, 'waiting for a reference')
             self.get_logger().info('waiting for a reference; is trajectory_node running?',
                                    throttle_duration_sec=_WARN_PERIOD, skip_first=True)
             return False
@@ -240,7 +240,7 @@ class ControllerNode(Node):
         if self._silence.zeros == 1:
             self._counts['silences'] += 1
             sentence = f'no usable joint state for {_LONGEST_SILENCE * 1e3:g} ms: zero torque'
-            self.health.tell(WARN, sentence)
+            self.health.report(WARN, sentence)
             self.health.warn('silence', sentence)
 
     def _on_fault(self):

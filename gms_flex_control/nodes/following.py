@@ -98,7 +98,7 @@ class References:
         return min((abs(known - stamp) for known in self._kept), default=None)
 
     def at(self, stamp) -> Reference | None:
-        """Return the Reference for a joint state, moved to its time; None if there is none."""
+        """Return the Reference for a joint state, moved to its time; None without a reference."""
         received = self._received(stamp)
         if received is not None:
             self.phase, self._last, self._rest = FOLLOWING, (stamp, received), None
@@ -206,7 +206,7 @@ class Follower:
     """
     The answer to each joint state: the law, its references and what stands against them.
 
-    ``health`` reports it (tell, warn); ``values`` are checked parameters.
+    ``health`` reports it (report, warn); ``values`` are checked parameters.
     """
 
     def __init__(self, robot, gains, values, health):
@@ -287,7 +287,7 @@ class Follower:
             elapsed = 0.0
         if self._obstacle:  # the observer stays as it is, as in a silence
             self.references.forget_motion()
-            self._health.tell(WARN, self._obstacle)
+            self._health.report(WARN, self._obstacle)
             return self._zero
         if jumped and not self._lockstep:  # the next state shows whether this clock goes on
             return self._zero
@@ -326,7 +326,7 @@ class Follower:
 
     def _begin_anew(self, elapsed):
         self.counts['observer begun anew'] += 1
-        self._health.tell(WARN, f'joint states jumped by {elapsed:.3f} s: zero torque')
+        self._health.report(WARN, f'joint states jumped by {elapsed:.3f} s: zero torque')
         self._health.warn('jump', f'joint states jumped by {elapsed:.3f} s: observer begins anew')
         self.references.forget_motion()
         self._nothing()
@@ -366,11 +366,11 @@ class Follower:
                 self.handover.fade(stamp, command)
             self.references.answered(command, elapsed)
         if not all_finite(command.tolist()):
-            self._health.tell(WARN, 'the law gave no finite torque: zero torque')
+            self._health.report(WARN, 'the law gave no finite torque: zero torque')
             self._health.warn('law', 'the law gave no finite torque: zero torque; are state or '
                                      'reference plausible?')
             return self._nothing()
-        self._health.tell(*_PHASES[self.references.phase])
+        self._health.report(*_PHASES[self.references.phase])
         self.follows = True
         return command
 
@@ -379,5 +379,5 @@ class Follower:
         why = ('is trajectory_node running?' if away is None else
                f'the nearest is {away / NANOSECONDS:.3g} s away from the joint states; '
                'has trajectory_node ended, or is its clock another one?')
-        self._health.tell(WARN, 'no reference: zero torque')
+        self._health.report(WARN, 'no reference: zero torque')
         self._health.warn('no reference', f'no reference: zero torque; {why}', skip_first=True)

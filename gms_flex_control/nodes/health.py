@@ -61,7 +61,7 @@ class Health:
         self._timer = node.create_timer(_LOOK_PERIOD, self.shield(self._look),
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def tell(self, level, sentence) -> None:
+    def report(self, level, sentence) -> None:
         """Say how the node is; cheap enough for every tick."""
         self._state = (level, sentence)
 
@@ -69,7 +69,7 @@ class Health:
         """Say and log the state of a Supervisor; ``severity`` is that of a fault in the log."""
         fault = supervisor.state == FAULT
         sentence = f'{supervisor.state}: {supervisor.reason}'
-        self.tell(ERROR if fault else OK, sentence)
+        self.report(ERROR if fault else OK, sentence)
         if fault:  # two lines of code: rclpy refuses two severities from one
             self._node.get_logger().log(sentence, severity)
         else:

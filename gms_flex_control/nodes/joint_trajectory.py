@@ -82,7 +82,7 @@ def _checked(values, what, order, joints):
 
 
 class Goal(NamedTuple):
-    """What a goal demands beside its points; bounds are infinite where there is none."""
+    """What a goal demands beside its points; absent bounds are infinite."""
 
     path: np.ndarray      # (2, n_joints) errors of angle and velocity on the way [rad, rad/s]
     at_end: np.ndarray    # and once it is over

@@ -110,7 +110,7 @@ class Motion:
         self.running, self.has_points = True, False
 
     def _state(self, time):
-        """Return the reference at ``time``, or the robot's motion if there is none to follow."""
+        """Return the reference at ``time``, or the robot's motion without one to follow."""
         return self._robot_state() if self.quantity == EFFORT else self.current.sample(time)
 
     def _robot_state(self):

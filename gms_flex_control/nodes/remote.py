@@ -102,7 +102,7 @@ class RemoteNode:
 
 
 def answer_of(client, request, do) -> object:
-    """Wait for the response to a request; None if there is none in time."""
+    """Wait for the response to a request; None if it does not come in time."""
     done, answers = threading.Event(), []
 
     def finish(future):

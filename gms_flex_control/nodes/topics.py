@@ -158,7 +158,7 @@ class Inbox:
             self._give(data)
 
     def _give(self, data):
-        """Return what the handler returns for a message; None if the bytes are none."""
+        """Return what the handler returns for a message; None if its bytes are broken."""
         try:
             message = self._message_of(data)
         except RuntimeError:  # of the middleware: it ends too early, or its lengths are wrong

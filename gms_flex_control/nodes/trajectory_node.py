@@ -138,7 +138,7 @@ class TrajectoryNode(Node):
             self._publish(stamp + period)
         motion.last = stamp
         self._counts['states followed'] += 1
-        self.health.tell(OK, 'moving' if motion.running else 'at rest')
+        self.health.report(OK, 'moving' if motion.running else 'at rest')
         return True
 
     def _wait_out(self, period):

@@ -44,7 +44,7 @@ class Key:
 
 
 def _kind_of(default):
-    """Return the ROS type of a default; a number where there is none."""
+    """Return the ROS type of a default; a number where it has none."""
     if isinstance(default, tuple):
         return f'{_kind_of(default[0])}_array' if default else 'string_array'
     return {bool: 'boolean', int: 'integer', str: 'string'}.get(type(default), 'double')

@@ -48,7 +48,7 @@ def complete(keys, values: dict) -> dict:
 
 
 def joint_names(values: dict) -> tuple[str, ...]:
-    """Return the link names of a flat parameter dict; ConfigError if there are none."""
+    """Return the link names of a flat parameter dict; ConfigError if it names none."""
     key = robot_keys(())[0]
     if key.name not in values:
         raise ConfigError('joints is missing: the robot file lists the names of the link sides')

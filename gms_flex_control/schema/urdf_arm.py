@@ -321,7 +321,7 @@ def _joint(element):
 
 
 def _limits(joint):
-    """Return the limits of a joint (dict), infinite where there is none."""
+    """Return the limits of a joint (dict), infinite where absent."""
     found = {'lower': -math.inf, 'upper': math.inf, 'velocity': math.inf, 'effort': math.inf}
     ranged = joint.kind != 'continuous' and joint.limits.get('upper', 0.0) > joint.limits.get(
         'lower', 0.0)

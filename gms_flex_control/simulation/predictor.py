@@ -214,7 +214,7 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
     Parameters
     ----------
     angle, torque : ndarray, shape (T, n)
-        Measured link angles, NaN where there is none, which corrects nothing [rad]; mean drive
+        Measured link angles, NaN where absent, which corrects nothing [rad]; mean drive
         torque on each link from sample k to k + 1 [N m].
     rate : ndarray, shape (n,)
         Link velocities at the beginning [rad/s].

@@ -270,7 +270,7 @@ def approach(state, trajectory, time, *, duration=2.0) -> Trajectory:
     Return ``trajectory``, its own time beginning at 0, entered smoothly from a state.
 
     ``state`` (5, n_joints) is the reference with its derivatives at ``time`` [s], at rest where
-    the robot is if there was none. The way to the beginning takes ``duration`` [s] and is left
+    the robot is without one. The way to the beginning takes ``duration`` [s] and is left
     out where the state is there; an effort starts at once.
     """
     begin = trajectory.sample(0.0)

@@ -72,7 +72,7 @@ class ActuatorSaturation(Term):
     of_one_size = True
     parameters = (Parameter('limit', 'N m', 'largest torque either way', lower=0.0),)
     guesses = staticmethod(lambda s: sizes(s.torque * np.linspace(0.2, 0.95, 16)))
-    # near the peaks few moments tell, and there any torque that is late or wrong looks like it
+    # it acts near the peaks only, where any torque that is late or wrong looks like it
     hardly_acts = staticmethod(lambda values, scales: values[0] > _EXCEEDED * scales.torque)
 
     @staticmethod
