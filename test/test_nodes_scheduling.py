@@ -8,10 +8,9 @@ import ctypes
 import os
 import platform
 
+from gms_flex_control.nodes import scheduling
 import pytest
 
-pytest.importorskip('rclpy')
-scheduling = pytest.importorskip('gms_flex_control.nodes.process')
 SCHED_GETATTR = {'x86_64': 315, 'aarch64': 275}
 
 

@@ -62,7 +62,7 @@ def public(node, trail=''):
 
 
 def test_everything_public_says_what_it_is():
-    """The linter asks for its form only; what an effect overrides is documented in its base."""
+    """The linter checks form only; what an effect overrides is documented in its base."""
     inherited = {*vars(Effect), *vars(Term), *vars(Change)}
     silent = [f'{path.relative_to(ROOT)}: {name}'
               for path in sorted((ROOT / 'gms_flex_control').rglob('*.py'))
@@ -70,6 +70,14 @@ def test_everything_public_says_what_it_is():
               if not ast.get_docstring(node) and not (
                   'effects' in path.parts and name.rpartition('.')[2] in inherited)]
     assert silent == []
+
+
+def test_every_public_function_says_what_it_returns():
+    unsaid = [f'{path.relative_to(ROOT)}: {name}'
+              for path in sorted((ROOT / 'gms_flex_control').rglob('*.py'))
+              for name, node in public(ast.parse(path.read_text(encoding='utf-8')))
+              if isinstance(node, ast.FunctionDef) and node.returns is None]
+    assert unsaid == []
 
 
 def test_the_package_is_installed_whole_and_nothing_else():

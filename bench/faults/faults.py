@@ -79,7 +79,7 @@ def _priority(asked):
         raise ConfigError(f'--priority {asked}: expected 1 to 99, or 0 for none')
     if asked and not is_permitted(asked):
         raise ConfigError(f'--priority {asked}: the system does not permit it; '
-                          f'{import_ros("gms_flex_control.nodes.process").WAY_OUT}, or give 0')
+                          f'{import_ros("gms_flex_control.nodes.scheduling").WAY_OUT}, or give 0')
     return asked
 
 

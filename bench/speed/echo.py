@@ -13,7 +13,7 @@ import sys
 import time
 
 from bench.speed.timed_node import LoopTiming
-from gms_flex_control.nodes import process
+from gms_flex_control.nodes import process, scheduling
 from gms_flex_control.nodes.messages import array, NANOSECONDS, set_stamp
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -94,7 +94,7 @@ class Pacer(Node):
 
     def run(self, spinner):
         """Publish until the measurement is over or a signal comes."""
-        process.tighten_timers()
+        scheduling.tighten_timers()
         samples = round(self._duration * NANOSECONDS / self._period)
         with process.BackgroundSpin(spinner):
             deadline = time.monotonic_ns()

@@ -16,7 +16,7 @@ from gms_flex_control.hardware.supervision import (
     Outcome,
     SupervisedRobot,
 )
-from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
 from gms_flex_control.nodes.topics import Inbox, Outlet
 from gms_flex_control.schema.node_values import bridge_from_values
@@ -187,7 +187,7 @@ class BridgedRobot(SupervisedRobot):
 
     def run(self, spinner) -> None:
         """Watch over both sides until a signal comes."""
-        process.tighten_timers()
+        scheduling.tighten_timers()
         sys.setswitchinterval(_SWITCH)
         look = self._health.shield(self._look)
         with process.BackgroundSpin(spinner) as background, self._link:

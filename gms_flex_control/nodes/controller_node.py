@@ -8,7 +8,7 @@ import time
 
 from gms_flex_control.control.feedforward import as_parameters, compensated
 from gms_flex_control.control.gain_conditions import violations
-from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.following import Follower, Reference
 from gms_flex_control.nodes.health import Health, trigger, WARN
 from gms_flex_control.nodes.parameters import NodeParameters
@@ -147,7 +147,7 @@ class ControllerNode(Node):
                   if not compensated(spec.name)]
         if beyond:
             self.get_logger().info(f'the model has, not compensated: {", ".join(beyond)}')
-        process.take_priority(self, values['realtime_priority'])
+        scheduling.take_priority(self, values['realtime_priority'])
 
     @property
     def sent(self) -> np.ndarray:

@@ -8,7 +8,7 @@ import time
 
 from builtin_interfaces.msg import Time
 from gms_flex_control.hardware.supervision import LATE, Lateness, NOTABLE
-from gms_flex_control.nodes import process
+from gms_flex_control.nodes import process, scheduling
 from gms_flex_control.nodes.health import now
 from gms_flex_control.nodes.messages import NANOSECONDS
 from rosgraph_msgs.msg import Clock
@@ -41,7 +41,7 @@ class Paced:
             self._run(spinner, background)
 
     def _run(self, spinner, background):
-        process.tighten_timers()
+        scheduling.tighten_timers()
         sys.setswitchinterval(_SWITCH)
         arm = self._arm
         first, deadline = now(self._node).nanoseconds, time.monotonic_ns()
@@ -54,16 +54,16 @@ class Paced:
             # answered at once, in this process, or while half of the sample passed
             ahead = self._simulate_ahead()
             if not ahead:
-                process.sleep_until(deadline - arm.period // 2)
+                scheduling.sleep_until(deadline - arm.period // 2)
                 ahead = self._simulate_ahead()
-            process.sleep_until(deadline - _READY)
+            scheduling.sleep_until(deadline - _READY)
             with self._lock:
                 left_out = self._follow_clock(max(deadline - time.monotonic_ns(), 0))
             if left_out > 0:  # no more than it is late: the clock may have been set
                 late = max(time.monotonic_ns() - deadline, 0)  # looked at before it, as a rule
                 deadline += min(left_out, late // arm.period) * arm.period
             if not ahead:
-                process.sleep_until(deadline)
+                scheduling.sleep_until(deadline)
                 self._simulate()
             with self._lock:
                 arm.end_sample(deadline)

@@ -7,7 +7,7 @@ from functools import partial
 import threading
 import time
 
-from gms_flex_control.nodes import process
+from gms_flex_control.nodes import process, scheduling
 from gms_flex_control.nodes.bridged_robot import BridgedRobot
 from gms_flex_control.nodes.health import Health, trigger
 from gms_flex_control.nodes.parameters import NodeParameters
@@ -57,7 +57,7 @@ class PlantNode(Node):
         self._safety = Safety(
             self, self._robot, topic=values['emergency_stop_topic'],
             hold_service=values['bridge.hold_service'] if bridged else '')
-        process.take_priority(self, values['realtime_priority'])
+        scheduling.take_priority(self, values['realtime_priority'])
 
     def foresee(self, controller) -> None:
         """Let efforts to a real robot leave ahead of all else; see `Foresight`."""

@@ -22,7 +22,7 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware import device as devices
 from gms_flex_control.hardware.device import DeviceError
 from gms_flex_control.hardware.supervision import STOOD_STILL
-from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.topics import Inbox, Serialized
 import rclpy
 from rclpy.qos import QoSProfile
@@ -341,7 +341,7 @@ def _guard():
     process.avoid_shared_memory()
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name, enable_rosout=False, start_parameter_services=False)
-    process.take_priority(node, priority)
+    scheduling.take_priority(node, priority)
     zeros, count = _efforts(node, array, joint, names), 0
     heard, dead = time.monotonic(), None
     while dead is None or time.monotonic() < dead + _AFTERWARDS:

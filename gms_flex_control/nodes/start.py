@@ -37,7 +37,8 @@ def run(name) -> int:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # as launch_parts starts it
     try:
         module = import_module(f'gms_flex_control.nodes.{name}')
-        process = import_module('gms_flex_control.nodes.process')
+        process, scheduling = (import_module(f'gms_flex_control.nodes.{part}')
+                               for part in ('process', 'scheduling'))
     except GmsFlexError as error:  # of what is not installed
         print(f'{name}: {error}', file=sys.stderr)
         return 2
@@ -46,7 +47,7 @@ def run(name) -> int:
         print(_HELP.format(name=name, summary=module.__doc__.strip()))
         return 0
     return process.run_node(getattr(module, _CLASSES[name]),
-                            process.LATER if name in _LATER else process.SHORT)
+                            scheduling.LATER if name in _LATER else scheduling.SHORT)
 
 
 # the entry points of setup.py: without arguments each returns its exit code

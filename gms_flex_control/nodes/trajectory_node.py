@@ -8,7 +8,7 @@ import os
 import time
 
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
-from gms_flex_control.nodes import joint_trajectory, messages, process
+from gms_flex_control.nodes import joint_trajectory, messages, process, scheduling
 from gms_flex_control.nodes.health import Health, OK, trigger
 from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
 from gms_flex_control.nodes.parameters import NodeParameters
@@ -88,7 +88,7 @@ class TrajectoryNode(Node):
         self.get_logger().info(f"{values['trajectory.type']}, call ~/start to begin"
                                if not values['trajectory.autostart'] else
                                f"{values['trajectory.type']} begins at the first joint state")
-        process.take_priority(self, values['realtime_priority'])
+        scheduling.take_priority(self, values['realtime_priority'])
 
     def _serve_action(self):
         if joint_trajectory.FollowJointTrajectory is None:

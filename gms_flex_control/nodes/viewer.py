@@ -16,7 +16,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.remote import answer_of, RemoteNode
 from gms_flex_control.nodes.topics import stamp_in
 from gms_flex_control.schema.build import robot_from_values
@@ -71,7 +71,7 @@ class LiveView:
     def __enter__(self):
         """Join the ROS graph and begin to listen."""
         process.avoid_shared_memory()
-        with process.interrupting_nobody():  # and so will the threads that begin here
+        with scheduling.interrupting_nobody():  # and so will the threads that begin here
             self._join()
         return self
 
@@ -100,7 +100,7 @@ class LiveView:
 
     def _listen(self):
         """Take messages in, and pass them on some at a time."""
-        process.give_way()
+        scheduling.give_way()
         while not self._stop.wait(_PASS_PERIOD):
             while self._answers:
                 self._meet(self._answers.popleft())
