@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`python -m bench recover`: what an experiment finds, on a simulated robot many times."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 import json
 import math
@@ -91,7 +91,7 @@ def run(args):
 def trials_of(args, setting):
     """Return the Trial of each seed; those in the journal of --out are not done again."""
     plan, robot, _, gains = setting
-    asked = json.dumps([robot_values(robot), controller_values(gains, robot.joints), vars(plan),
+    asked = json.dumps([robot_values(robot), controller_values(gains, robot.joints), asdict(plan),
                         args.believed, args.rate, args.torque_noise],
                        default=np.ndarray.tolist)
     own = fingerprint(('recover.py',), Path(__file__).parent)

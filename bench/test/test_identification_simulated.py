@@ -77,7 +77,7 @@ def test_wrong_beliefs_of_friction_change_the_amplitudes_and_keep_the_range(fact
     """The first presliding step stays presliding and is not much too small either."""
     true = replace(ROBOT, friction=scaled_friction(ROBOT.friction, factor))
     recording, phases = simulate_identification(PLAN, true, GAINS, 3, model=ROBOT, rate=500)
-    assert np.all((np.abs(recording.q_link) < PLAN.upper)[:, :])
+    assert np.all((np.abs(recording.q_link) < PLAN.limits.upper)[:, :])
     for phase, part, j in parts((recording, phases), 'presliding'):
         weaker = min(true.friction.forward.static[j], true.friction.backward.static[j])
         if '0.04695' in phase.step or '0.04262' in phase.step:
@@ -91,5 +91,5 @@ def test_torque_noise_is_recorded_but_does_not_act():
                     for noise in (0.0, 1e-3))
     assert np.array_equal(quiet.q_link, noisy.q_link)
     assert np.std(noisy.tau_motor - quiet.tau_motor) == pytest.approx(1e-3, rel=0.02)
-    assert np.all(np.abs(quiet.command) <= PLAN.torque)
+    assert np.all(np.abs(quiet.command) <= PLAN.limits.torque)
     assert np.allclose(quiet.tau_motor[1:], quiet.command[:-1])

@@ -13,6 +13,7 @@ from gms_flex_control.discrepancy.fitting import (
     effect_columns,
     fit,
     informative,
+    is_within,
     numbers_of,
     prior_of,
     without,
@@ -87,7 +88,8 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
     """
     Return the search's end without effects that worsen HeldOut prediction, and its Worths.
 
-    Nor with those of one size that hardly act here: where they act, they would do much.
+    Nor with those of one size that hardly act here: where they act, they would do much. A known
+    parameter beyond its prior takes no effect's place: it is a wrong belief.
     """
     while worths:
         effects = found.best.model.robot.effects
@@ -101,8 +103,9 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
         # what has stood beside it may fall with it, and another take its place: the end counts
         ends = (pruned(likelihood, dropped(likelihood, found, index)) for index in sorted(
             fewer, key=fewer.get) if CLEARLY * fewer[index] <= energy)
-        better = next((end for end in ends if CLEARLY * held_out.energy(end[0].best) <= energy),
-                      None)
+        limit = plausible_limit(likelihood, found.best.model)
+        better = next((end for end in ends if is_within(likelihood, end[0].best.model, limit)
+                       and CLEARLY * held_out.energy(end[0].best) <= energy), None)
         if better is None:
             break
         found, worths = better
