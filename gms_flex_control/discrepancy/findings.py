@@ -104,12 +104,21 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
         ends = (pruned(likelihood, dropped(likelihood, found, index)) for index in sorted(
             fewer, key=fewer.get) if CLEARLY * fewer[index] <= energy)
         limit = plausible_limit(likelihood, found.best.model)
-        better = next((end for end in ends if is_within(likelihood, end[0].best.model, limit)
-                       and CLEARLY * held_out.energy(end[0].best) <= energy), None)
+        better = next((end for end in ends if CLEARLY * held_out.energy(
+            limited(likelihood, end[0].best, limit)) <= energy), None)
         if better is None:
             break
         found, worths = better
     return _alone(likelihood, found, worths, held_out)
+
+
+def limited(likelihood, state, limit) -> State:
+    """Return a State, known parameters no farther off than a ``limit`` (P,)."""
+    model = state.model
+    if is_within(likelihood, model, limit):
+        return state
+    return state._replace(plausible=limit, model=fit(
+        likelihood, model.robot, model.x, state.columns, plausible=limit))
 
 
 def _lessened(likelihood, found, one, held_out):
