@@ -13,11 +13,8 @@ from bench.real_machines.least_squares import Part
 from bench.real_machines.machines import MACHINES, shared_data, VARIABLE
 from bench.real_machines.motion import low_pass, Motion, motion_of, residual_torque, rms
 from bench.real_machines.split import identified, model_rms, parts_of
-from bench.real_machines.torsion import study
 from gms_flex_control.data.csv_import import import_csv
-from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.writer import write_recording
 from gms_flex_control.discrepancy.result import FOUND
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.identification.assumed_robot import rigid_joints
@@ -144,23 +141,14 @@ def needed(name):
     return machine
 
 
-def axis_of_kr300(folder, name):
-    """Return the recording of axis 1 alone, as read from a bag of all three."""
-    log = import_csv(shared_data() / 'kr300' / f'{name}.csv',
-                     ROOT / 'config' / 'import_kr300.yaml')
-    write_recording(folder / name, log.recording, motors=log.motors)
-    return read_recording(folder / name, joints=['axis1'], motors=['axis1_motor'])
-
-
-def test_flexibility_of_the_kr300_is_an_encoder_skew(tmp_path):
+def test_flexibility_of_the_kr300_is_an_encoder_skew():
     """Its encoders are read at different times, which a spring does not explain."""
-    needed('kr300_axis1')
-    first, second = (axis_of_kr300(tmp_path, name) for name in ('rec_A', 'rec_B'))
-    robot = study(first, 'axis1', 4.58e6).robot
-    result = find_discrepancy([first], robot, holdout=[second])
+    machine = needed('kr300_axis1')
+    fitted = [machine.recording(piece) for piece in machine.splits[0].fitted]
+    result = find_discrepancy(fitted, identified(machine, fitted)[0])
     assert result.verdict == FOUND
-    main = result.findings[0]
-    assert main.effect == 'encoder_skew' and -0.0035 < main.parameters['delay'] < -0.002
+    found = {one.effect: one.parameters for one in result.findings}
+    assert -0.0035 < found['encoder_skew']['delay'] < -0.002
     assert result.gap.after[0] < 0.25 * result.gap.before[0]
 
 
