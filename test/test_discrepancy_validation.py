@@ -151,6 +151,17 @@ def test_free_runs_carry_the_load_of_their_recording(ideal_robot, gains):
     assert np.sqrt(np.mean(left_behind ** 2)) > 10.0 * np.sqrt(np.mean(found ** 2))
 
 
+@pytest.mark.parametrize('name, values', [('input_delay', (0.01,)), ('actuator_lag', (0.01,))])
+def test_a_free_run_remembers_what_went_before_it(name, values, ideal_robot, gains):
+    """Torques on their way as a run begins are those asked for before, whichever run is first."""
+    late = replace(ideal_robot, effects=(EffectSpec(
+        name=name, joint=ideal_robot.joints[0], values=values),))
+    motion, starts = driven_motion(late, gains, duration=6.0), np.array([1000, 2100])
+    errors = [np.sqrt(np.mean(np.square(free_runs(motion, plant.constants_of(robot), starts)[1:]),
+                              axis=(0, 2, 3))) for robot in (ideal_robot, late)]
+    assert np.all(errors[1] < 0.1 * errors[0])
+
+
 def test_free_runs_do_not_cross_holes():
     """A line through half a second that nobody saw is no motion."""
     case = make_case('clean', 3, duration=20.0)

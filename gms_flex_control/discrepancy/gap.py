@@ -263,19 +263,20 @@ def run_freely(states, command, pushed, supply, time, period, substeps, starts, 
     """
     Fill angles (S, horizon, n) of runs from the measured state at each of ``starts`` (S,).
 
-    Blocks are loaded as the measured motion up to there has loaded them.
+    Blocks are loaded, and effects remember, as the measured motion up to there makes them.
     """
-    n = command.shape[1]
+    n, terms = command.shape[1], constants.effects.stage_start[-1]
     at, ahead = 0, 0.5 * period / substeps
     for k in range(command.shape[0]):
         if at == starts.shape[0]:
             break
         replay_friction(k, states, period, constants, replayed, work)
         if k == starts[at]:
+            plant.take_place(k, states, command[k], time[k], state, work)
+            state.memory[:] = replayed.memory
             copy_state(replayed.friction, states[k, 0], states[k, 1], state.friction,
                        state.q_link, state.dq_link)
             for j in range(n):
-                state.q_motor[j], state.dq_motor[j] = states[k, 3, j], states[k, 4, j]
                 state.q_link[j] += ahead * state.dq_link[j]
                 state.q_motor[j] += ahead * state.dq_motor[j]
             for step in range(horizon):
@@ -287,6 +288,11 @@ def run_freely(states, command, pushed, supply, time, period, substeps, starts, 
                 plant.advance(state, command[k + step], time[k + step], period, substeps,
                               constants, work)
             at += 1
+        if terms > 0:
+            plant.take_place(k, states, command[k], time[k], replayed, work)
+            for j in range(n):
+                work.signals[j, sig.SUPPLY] = supply[k]
+            plant.torques(replayed, period, constants, work)
 
 
 def starts_of(motion) -> np.ndarray:
