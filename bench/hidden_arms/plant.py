@@ -177,8 +177,9 @@ def recording_of(robot: RobotParams, described: RobotParams, hidden: Sequence[Hi
                 arm.rigid, 0.0, arm.stiffness)))
             outside = effect.outside(k, part, data.qpos[:n], data.qvel[:n], now, tau)
             drive = acted + effect.on_motor(now) + outside[1]
-            carried = np.where(arm.rigid, drive, spring)
-            data.qfrc_applied[:n] = (carried - effect.friction(tau, data.qpos[:n], carried)
+            moved = np.where(arm.rigid, drive, spring)
+            carried = moved - np.where(arm.rigid, arm.motor_inertia * data.qacc[:n], 0.0)
+            data.qfrc_applied[:n] = (moved - effect.friction(tau, data.qpos[:n], carried)
                                      + effect.on_link(data.qvel[:n]) + outside[0])
             data.qfrc_applied[n:] = (drive - spring)[soft]
             mujoco.mj_step(model, data)
@@ -225,7 +226,7 @@ class _Acting:
 
     def __init__(self, hidden, robot, disturbance):
         self._effects = [(one.name, one.at(robot), one.values) for one in hidden]
-        self._level = robot.friction.forward.coulomb
+        self._before, self._turned = None, np.zeros(robot.n_joints)  # -1 to 1, of load friction
         self._disturbance, self._held, self._outside = disturbance, [], np.zeros(PARAMETERS)
         if disturbance:
             self._outside[:len(disturbance.values)] = disturbance.values
@@ -259,12 +260,14 @@ class _Acting:
 
     def friction(self, tau, angle, carried):
         """Return the friction of all joints (n,), from ``tau`` of the robot without effects."""
-        tau = tau.copy()
+        tau, before, self._before = tau.copy(), self._before, angle.copy()
         for name, j, p in self._effects:
             if name == 'position_friction':
                 tau[j] *= 1.0 + p['ratio'] * np.cos(p['order'] * angle[j] + p['phase'])
-            elif name == 'load_friction':
-                tau[j] *= 1.0 + p['ratio'] * abs(carried[j]) / self._level[j]
+            elif name == 'load_friction' and before is not None:
+                self._turned[j] = np.clip(
+                    self._turned[j] + (angle[j] - before[j]) / p['reach'], -1.0, 1.0)
+                tau[j] += p['ratio'] * abs(carried[j]) * self._turned[j]
         return tau
 
     def on_link(self, rate):

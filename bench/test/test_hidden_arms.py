@@ -6,7 +6,7 @@
 from types import SimpleNamespace
 
 from bench.hidden_arms.hidden_arms import case_of, Job, judged, keep, kept, Outcome, truth_of
-from bench.hidden_arms.plant import Hidden
+from bench.hidden_arms.plant import Hidden, recording_of
 from gms_flex_control.discrepancy.gap import free_runs
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.effects.table import with_changes
@@ -48,6 +48,25 @@ def test_the_true_robot_runs_as_mujoco_moves_it():
         _, _, motor = free_runs(motion, plant.constants_of(robot))
         return np.sqrt(np.mean(motor ** 2))
     assert error(case.true) < 0.2 * error(case.believed)
+
+
+@pytest.mark.parametrize('joint', ['joint2', 'joint5'])  # on a spring, rigid
+@pytest.mark.parametrize('name, values', [
+    ('load_friction', {'ratio': 0.1, 'reach': 1e-3}),
+    ('position_friction', {'ratio': 0.5, 'order': 2.0, 'phase': 1.0}),
+    ('torque_ripple', {'amplitude': 3.0, 'order': 8.0, 'phase': 1.0}),
+    ('torque_gain', {'gain_error': 0.1}), ('constant_link_torque', {'bias': 3.0}),
+    ('quadratic_drag', {'drag': 10.0}), ('input_delay', {'delay': 5e-3})])
+def test_an_effect_in_mujoco_is_that_of_the_catalogue(name, values, joint):
+    case = case_of(Job('light', 'clean', 5, 1.0))
+    hidden = Hidden(name=name, joint=joint, values=values)
+    recording = recording_of(case.true, case.believed, [hidden], seconds=6.0, noise=0.0,
+                             motors_only=False, seed=5)
+    motion, free = motion_of(recording, case.believed), []
+    for robot in (case.true, truth_of(case.true, [hidden])):
+        _, link, _ = free_runs(motion, plant.constants_of(robot))
+        free.append(np.sqrt(np.mean(link ** 2)))
+    assert free[1] < 0.2 * free[0]
 
 
 def test_effects_that_are_parameters_change_the_robot():
