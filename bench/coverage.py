@@ -177,25 +177,25 @@ def try_case(case):
 def identified(case):
     """Return the true robot of a Case, and its Identification."""
     if case.motion == 'example':
-        robot, take = example()
+        robot, recorded = example()
         believed = robot
     else:
         robot = axis(case.seed)
         believed = replace(robot, friction=scaled_friction(robot.friction, 0.8))
-        take = noisy(recorded(case.motion, robot, believed, case.seed),
+        recorded = noisy(recorded(case.motion, robot, believed, case.seed),
                      case.noise * float(robot.friction.forward.static[0]), case.seed)
-    return robot, identify([take], believed, options=Options(blocks=BLOCKS[case.blocks]))
+    return robot, identify([recorded], believed, options=Options(blocks=BLOCKS[case.blocks]))
 
 
-def noisy(take, level, seed):
-    """Return a take with white noise on the torque that it recorded [N m]."""
-    recording, phases = take
+def noisy(recorded, level, seed):
+    """Return a recording with white noise on the torque that it recorded [N m]."""
+    recording, phases = recorded
     noise = np.random.default_rng([seed, 5]).standard_normal(recording.tau_motor.shape)
     return replace(recording, tau_motor=recording.tau_motor + level * noise), phases
 
 
 def example():
-    """Return the robot and the take of examples/arm_with_play, its play known."""
+    """Return the robot and the recording of examples/arm_with_play, its play known."""
     with TemporaryDirectory() as folder:
         play = Path(folder) / 'play.yaml'
         save_values({'effects.joint2.backlash.half_gap': 0.012}, play)

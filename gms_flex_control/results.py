@@ -42,7 +42,7 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas
 
-Take = Recording | tuple[Recording, Sequence[Phase]]
+Recorded = Recording | tuple[Recording, Sequence[Phase]]
 _MOST_AT_LIMIT = 0.02  # share of a motion that may be spent at the torque limit
 
 
@@ -235,7 +235,8 @@ class ComparisonResult(Result):
             f'{title} [rad]': value for title, value in row.errors.items()} for row in self.rows]
 
 
-def identify(recordings: Sequence[Take], robot: RobotParams, *, holdouts: Sequence[Take] = (),
+def identify(recordings: Sequence[Recorded], robot: RobotParams, *,
+             holdouts: Sequence[Recorded] = (),
              options: identification.Options | None = None,
              say: Callable[[str], object] | None = None) -> IdentificationResult:
     """

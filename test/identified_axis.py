@@ -59,14 +59,14 @@ def experiment(seed=1, *, rigid=False, yields=tuple(YIELDS)):
     return simulate_identification(plan, robot, GAINS, seed, rate=250)
 
 
-def without_phases(take):
-    """Return a take whose phases were not recorded."""
-    return take[0], ()
+def without_phases(recorded):
+    """Return a recording whose phases were not recorded."""
+    return recorded[0], ()
 
 
-def part(take, begin, end):
-    """Return the part of a take between two times [s], the clock from zero again."""
-    recording, phases = take
+def part(recorded, begin, end):
+    """Return the part of a recording between two times [s], the clock from zero again."""
+    recording, phases = recorded
     rows = slice(*np.searchsorted(recording.time, [begin - 1e-9, end - 1e-9]))
     cut = recording.of_samples(rows)
     cut = replace(cut, time=cut.time - cut.time[0])

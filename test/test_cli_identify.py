@@ -106,19 +106,19 @@ def test_motion_one_way_gives_friction_of_that_way_alone(tmp_path):
         assert 'not identifiable' in backward['flags'] and not forward['flags']
 
 
-def clipped(take):
-    """Return a take whose torque is cut off at half of its largest."""
-    limit = 0.5 * np.nanmax(np.abs(take[0].tau_motor))
-    return replace(take[0], tau_motor=np.clip(take[0].tau_motor, -limit, limit)), take[1]
+def clipped(recording):
+    """Return a recording whose torque is cut off at half of its largest."""
+    limit = 0.5 * np.nanmax(np.abs(recording.tau_motor))
+    return replace(recording, tau_motor=np.clip(recording.tau_motor, -limit, limit))
 
 
 @pytest.mark.parametrize(('words', 'inject'), [
-    ('missing', lambda take: (faulty.dropped(take[0], 0.01), take[1])), ('clipped', clipped)])
+    ('missing', lambda recording: faulty.dropped(recording, 0.01)), ('clipped', clipped)])
 def test_a_poor_bag_never_gives_a_confident_wrong_number(tmp_path, capsys, words, inject):
     """Either refused, or warned of with numbers near the truth."""
     robot = axis(rigid=True)
-    recording, phases = inject(experiment(rigid=True))
-    code = identified(tmp_path, bag_of(tmp_path, recording, robot, phases), '--robot',
+    recording, phases = experiment(rigid=True)
+    code = identified(tmp_path, bag_of(tmp_path, inject(recording), robot, phases), '--robot',
                       saved(tmp_path, robot), '--blocks', 4)
     output = capsys.readouterr()
     if code == 2:

@@ -27,8 +27,8 @@ ALL = Options(estimate='all', blocks=(1, 3))
 @pytest.mark.parametrize(('pull', 'constant'), [(0.5, 0.0), (0.0, 0.0), (0.0, 0.2)])
 def test_inertia_gravity_and_a_constant_torque_are_those_a_pendulum_was_made_with(pull, constant):
     """Neither gravity nor a constant is made up; one too large for asymmetric friction is one."""
-    take = pendulum(pull=pull, constant=constant)
-    fit = fit_axis(rows_of([take], held_torque(0), 0), 'swing', 'here')
+    recorded = pendulum(pull=pull, constant=constant)
+    fit = fit_axis(rows_of([recorded], held_torque(0), 0), 'swing', 'here')
     assert fit.has_gravity == (pull > 0.0) and fit.per_load == 0.0
     assert fit.inertia == pytest.approx(0.02, rel=0.02)
     assert fit.constant == pytest.approx(constant, rel=0.03)
@@ -39,44 +39,44 @@ def test_inertia_gravity_and_a_constant_torque_are_those_a_pendulum_was_made_wit
 
 def test_a_bent_torque_is_no_gravity_that_a_constant_torque_takes_away():
     """As of a cable: a parabola of the angle is gravity but for its mean, which is not there."""
-    take = pendulum(pull=0.0)
-    angle = 0.5 * take.q_link
-    take = replace(take, q_link=angle, tau_motor=take.tau_motor + 0.015 * angle ** 2)
-    fit = fit_axis(rows_of([take], held_torque(0), 0), 'swing', 'here')
+    recorded = pendulum(pull=0.0)
+    angle = 0.5 * recorded.q_link
+    recorded = replace(recorded, q_link=angle, tau_motor=recorded.tau_motor + 0.015 * angle ** 2)
+    fit = fit_axis(rows_of([recorded], held_torque(0), 0), 'swing', 'here')
     assert (fit.has_gravity, fit.constant) == (False, 0.0)
     assert fit.inertia == pytest.approx(0.04, rel=0.05)
     assert fit.friction == pytest.approx(0.08, rel=0.2)  # viscous part included
 
 
 def test_a_linear_axis_has_no_gravity_that_turns_with_its_position():
-    take = pendulum()
-    robot = rigid_joints(take.joints)
-    found = estimate_arm([take], replace(robot, arm=replace(robot.arm, axes='linear')))
+    recorded = pendulum()
+    robot = rigid_joints(recorded.joints)
+    found = estimate_arm([recorded], replace(robot, arm=replace(robot.arm, axes='linear')))
     assert list(found.numbers[0]) == [0] and not found.robot.arm.gravity.any()
 
 
 def test_motion_one_way_has_no_constant_torque_beside_friction():
     """Half of it would be as much friction, and half of the friction a constant torque."""
-    take = pendulum(pull=0.0)
-    forward = np.cumsum(np.abs(np.diff(take.q_link[:, 0], prepend=take.q_link[0, 0])))
-    rate = np.gradient(forward, take.time)
-    torque = 0.06 + 0.01 * rate + 0.02 * np.gradient(rate, take.time)
-    fit = fit_axis(rows_of([replace(take, q_link=forward[:, None], tau_motor=torque[:, None])],
+    recorded = pendulum(pull=0.0)
+    forward = np.cumsum(np.abs(np.diff(recorded.q_link[:, 0], prepend=recorded.q_link[0, 0])))
+    rate = np.gradient(forward, recorded.time)
+    torque = 0.06 + 0.01 * rate + 0.02 * np.gradient(rate, recorded.time)
+    fit = fit_axis(rows_of([replace(recorded, q_link=forward[:, None], tau_motor=torque[:, None])],
                            held_torque(0), 0), 'swing', 'here')
     assert fit.constant == 0.0
     assert fit.friction == pytest.approx(0.06 + 0.01 * np.median(rate), rel=0.1)
 
 
 def test_a_torque_that_never_changes_tells_no_inertia():
-    take = pendulum()
+    recorded = pendulum()
     with pytest.raises(IdentificationError, match='never changes'):
-        fit_axis(rows_of([replace(take, tau_motor=np.full_like(take.tau_motor, 0.3))],
+        fit_axis(rows_of([replace(recorded, tau_motor=np.full_like(recorded.tau_motor, 0.3))],
                          held_torque(0), 0), 'swing', 'here')
 
 
 def test_a_ripple_of_the_gear_is_found_and_friction_is_not_bent_by_it():
-    take = pendulum(ripple=(0.03, 40.0, 0.6), seconds=20.0)
-    found = identify([(take, ())], rigid_joints(take.joints), options=ALL)
+    recorded = pendulum(ripple=(0.03, 40.0, 0.6), seconds=20.0)
+    found = identify([(recorded, ())], rigid_joints(recorded.joints), options=ALL)
     ripple, = found.robot.effects
     amplitude, order, phase = ripple.values
     assert ripple.name == 'torque_ripple'
@@ -92,44 +92,44 @@ def test_a_ripple_of_the_gear_is_found_and_friction_is_not_bent_by_it():
 
 
 def test_friction_that_grows_with_the_load_is_found_and_stands_beside_the_rest():
-    take = pendulum(per_load=0.15, seconds=20.0)
-    found = identify([(take, ())], rigid_joints(take.joints), options=ALL)
+    recorded = pendulum(per_load=0.15, seconds=20.0)
+    found = identify([(recorded, ())], rigid_joints(recorded.joints), options=ALL)
     load, = found.robot.effects
     assert load.name == 'load_friction' and load.values[0] == pytest.approx(0.15, rel=0.1)
     grown = {row.name: row for row in found.joints[0].estimates}['friction.swing.per_load']
     assert grown.value == pytest.approx(0.15, rel=0.05)
     for steady in (found.robot.friction.forward, found.robot.friction.backward):
         assert steady.coulomb[0] == pytest.approx(0.06, rel=0.1)
-    left = unexplained(motion_of(take, found.robot), plant.constants_of(found.robot))
-    assert np.std(left) < 0.1 * np.std(take.tau_motor)
+    left = unexplained(motion_of(recorded, found.robot), plant.constants_of(found.robot))
+    assert np.std(left) < 0.1 * np.std(recorded.tau_motor)
 
 
-def varying(take, size, order, phase=0.0):
+def varying(recorded, size, order, phase=0.0):
     """Return a Recording whose friction varies with the angle as well, by ``size`` [N m]."""
-    q = take.q_link[:, 0]
-    further = size * np.cos(order * q + phase) * np.tanh(np.gradient(q, take.time) / 0.01)
-    return replace(take, tau_motor=take.tau_motor + further[:, None])
+    q = recorded.q_link[:, 0]
+    further = size * np.cos(order * q + phase) * np.tanh(np.gradient(q, recorded.time) / 0.01)
+    return replace(recorded, tau_motor=recorded.tau_motor + further[:, None])
 
 
 @pytest.mark.parametrize('order, size', [(1, 0.01), (2, 0.007)])
 def test_friction_by_load_is_found_beside_little_that_varies_with_the_angle(order, size):
     """Which friction that varies with the angle alone then follows a little better."""
-    take = varying(pendulum(per_load=0.15, offset=0.0, pace=0.3), size, order, 1.0)
-    fit = fit_axis(rows_of([take], held_torque(0), 0), 'swing', 'here')
+    recorded = varying(pendulum(per_load=0.15, offset=0.0, pace=0.3), size, order, 1.0)
+    fit = fit_axis(rows_of([recorded], held_torque(0), 0), 'swing', 'here')
     assert fit.per_load == pytest.approx(0.15, rel=0.2)
 
 
 @pytest.mark.parametrize('phase', [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
 @pytest.mark.parametrize('order', [1, 2])
 def test_friction_that_varies_with_the_angle_is_not_called_friction_by_load(order, phase):
-    take = varying(pendulum(), 0.03, order, phase)
-    fit = fit_axis(rows_of([take], held_torque(0), 0), 'swing', 'here')
+    recorded = varying(pendulum(), 0.03, order, phase)
+    fit = fit_axis(rows_of([recorded], held_torque(0), 0), 'swing', 'here')
     assert fit.per_load == 0.0
 
 
 def test_no_ripple_is_made_up_where_there_is_none():
-    take = pendulum()
-    arm_fit = estimate_arm([take], rigid_joints(take.joints))
+    recorded = pendulum()
+    arm_fit = estimate_arm([recorded], rigid_joints(recorded.joints))
     assert arm_fit.ripples == (None,) and not arm_fit.robot.effects
 
 

@@ -164,15 +164,15 @@ def test_a_block_that_never_slips_is_no_friction():
 
 def test_two_bags_tell_what_one_tells():
     """The same experiment cut in two where a phase begins, near its middle."""
-    take = experiment(rigid=True)
-    starts = np.array([phase.time_ns for phase in take[1]]) * 1e-9
-    middle = starts[np.searchsorted(starts, 0.5 * take[0].time[-1])]
-    halves = part(take, 0.0, middle), part(take, middle, np.inf)
-    assert sum(len(half[0].time) for half in halves) == len(take[0].time)
+    recorded = experiment(rigid=True)
+    starts = np.array([phase.time_ns for phase in recorded[1]]) * 1e-9
+    middle = starts[np.searchsorted(starts, 0.5 * recorded[0].time[-1])]
+    halves = part(recorded, 0.0, middle), part(recorded, middle, np.inf)
+    assert sum(len(half[0].time) for half in halves) == len(recorded[0].time)
     two = identify(halves, axis(rigid=True), options=FOUR)
     assert_recovered(two)
     assert len(two.sources) == 2
-    assert two.duration == pytest.approx(take[0].time[-1], abs=0.01)
+    assert two.duration == pytest.approx(recorded[0].time[-1], abs=0.01)
 
 
 def test_phases_are_not_needed_and_a_recording_apart_sets_the_errors(rigid):
@@ -202,16 +202,16 @@ def assert_same_data(one, other):
 
 
 def test_the_friction_of_the_robot_file_has_no_say():
-    take, robot = experiment(), axis()
+    recorded, robot = experiment(), axis()
     wrong = replace(robot, friction=scaled_friction(robot.friction, 3.0))
-    assert_same_data(Data([take], (), robot), Data([take], (), wrong))
+    assert_same_data(Data([recorded], (), robot), Data([recorded], (), wrong))
 
 
 def test_recordings_of_unlike_rates_are_taken_at_the_slower_one():
-    take = experiment()
-    slow = (replace(take[0], time=1.5 * take[0].time, source='slow'), ())
+    recorded = experiment()
+    slow = (replace(recorded[0], time=1.5 * recorded[0].time, source='slow'), ())
     with pytest.warns(UserWarning, match='sampled every 4 to 6 ms; all are taken every 6 ms'):
-        assert Data([take, slow], (), axis()).bundle.period == pytest.approx(6e-3)
+        assert Data([recorded, slow], (), axis()).bundle.period == pytest.approx(6e-3)
 
 
 def test_noise_of_an_encoder_is_seen_beside_lost_samples():
@@ -223,10 +223,10 @@ def test_noise_of_an_encoder_is_seen_beside_lost_samples():
 
 def test_few_data_of_which_a_quarter_is_no_test_of_the_joint_are_fitted():
     """Each quarter is held out in turn, but one with nothing in it."""
-    take, _ = part(experiment(), 0.0, 20.0)
+    recorded, _ = part(experiment(), 0.0, 20.0)
     phases = tuple(Phase(2 * k * 10**9, *(('idle', '', '', 0.0) if k % 4 == 1 else
                                           ('sliding', JOINT, f'step{k}', 0.1)))
                    for k in range(10))
-    steady = identify([(take, phases)], axis(), options=Options(
+    steady = identify([(recorded, phases)], axis(), options=Options(
         blocks=(1, 3))).robot.friction.forward
     assert steady.coulomb[0] == pytest.approx(0.09087, rel=0.05)

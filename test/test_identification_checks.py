@@ -159,10 +159,10 @@ def test_a_drive_that_gives_but_a_part_of_what_is_asked_is_no_fault_of_the_data(
 @pytest.mark.parametrize(('share', 'severity'), [(1 / 20, 'warn'), (1 / 500, 'refuse')])
 def test_where_friction_is_nearly_all_an_inertia_hardly_tells_the_scale(share, severity):
     """One that was not identifiable is no reason to refuse the same machine."""
-    take = pendulum(inertia=8e-4, pull=0.0)
-    robot = rigid_joints(take.joints)
+    recorded = pendulum(inertia=8e-4, pull=0.0)
+    robot = rigid_joints(recorded.joints)
     robot = replace(robot, arm=replace(robot.arm, inertia=[8e-4 * share]))
-    found, = check(take, robot)
+    found, = check(recorded, robot)
     assert (found[0], found.severity) == ('torque_scale', severity)
 
 

@@ -280,8 +280,8 @@ def test_a_coupling_of_no_joint_is_refused(coupling, sentence, hidden):
 def test_an_arm_is_identified_that_was_recorded_joint_by_joint():
     """The friction of the joints that moved is found, that of all others stays as described."""
     robot, arm, urdf = hidden_arm()
-    takes = [moved(urdf, robot.arm, 10.0, seed=j, moving=np.arange(6) == j) for j in (3, 0)]
-    found = identify(takes, replace(robot, arm=arm), options=Options(blocks=(1,)))
+    recordings = [moved(urdf, robot.arm, 10.0, seed=j, moving=np.arange(6) == j) for j in (3, 0)]
+    found = identify(recordings, replace(robot, arm=arm), options=Options(blocks=(1,)))
     assert any('joint2, joint3, joint5, joint6 hardly move' in one for one in found.warnings)
     assert [one.joint for one in found.joints] == ['joint1', 'joint4']
     coulomb, viscous = friction_of(robot.arm)
@@ -299,10 +299,10 @@ def test_an_arm_is_identified_that_was_recorded_joint_by_joint():
 def test_a_joint_without_torque_keeps_its_friction_and_the_others_are_identified(torque):
     """As drives have it that report no current, or always the same."""
     robot, arm, urdf = hidden_arm()
-    take = moved(urdf, robot.arm, 8.0, seed=3, moving=np.isin(np.arange(6), (0, 1, 3)))
-    known = np.where(np.arange(6) == 1, torque, take.tau_motor)
-    take = replace(take, tau_motor=known)
-    found = identify([take], replace(robot, arm=arm), options=Options(blocks=(1,)))
+    recorded = moved(urdf, robot.arm, 8.0, seed=3, moving=np.isin(np.arange(6), (0, 1, 3)))
+    known = np.where(np.arange(6) == 1, torque, recorded.tau_motor)
+    recorded = replace(recorded, tau_motor=known)
+    found = identify([recorded], replace(robot, arm=arm), options=Options(blocks=(1,)))
     reported, = [one for one in found.warnings if 'have no torque' in one]
     assert reported.startswith('hidden: joint2 have no torque that was recorded')
     assert [one.joint for one in found.joints] == ['joint1', 'joint4']
@@ -310,7 +310,7 @@ def test_a_joint_without_torque_keeps_its_friction_and_the_others_are_identified
     np.testing.assert_allclose(found.robot.friction.forward.coulomb[[0, 3]], coulomb[[0, 3]],
                                rtol=0.05)
     assert found.robot.friction.forward.coulomb[1] == robot.friction.forward.coulomb[1]
-    links = fit_base_parameters([with_torques(take, robot)], robot)
+    links = fit_base_parameters([with_torques(recorded, robot)], robot)
     assert np.isfinite(links.values).all() and np.isfinite(links.error).all()
 
 
@@ -320,8 +320,8 @@ def test_an_axis_without_torque_does_not_end_the_fit_of_another():
     rate, bend = np.gradient(q, time), np.gradient(np.gradient(q, time), time)
     robot = rigid_joints(('turn', 'lift'))
     drive = bend + 0.8 * np.tanh(rate / 1e-3) + 0.2 * rate
-    take = Recording(joints=robot.joints, time=time, source='axes', q_link=np.stack([q, q], 1),
+    recorded = Recording(joints=robot.joints, time=time, source='axes', q_link=np.stack([q, q], 1),
                      tau_motor=np.stack([drive, np.full(len(q), np.nan)], axis=1))
-    found = identify([take], robot, options=Options(blocks=(1,)))
+    found = identify([recorded], robot, options=Options(blocks=(1,)))
     assert [one.joint for one in found.joints] == ['turn']
     assert found.robot.friction.forward.coulomb == pytest.approx([0.8, 1.0], rel=0.05)

@@ -121,7 +121,7 @@ def fit_presliding(bundle, axis):
     finest = 0.5 * bundle.half[0]
     coordinates, start = packed(known_steady(axis.friction), np.geomspace(finest, 0.3, N_BLOCKS))
     objective = Objective(bundle, 0, [coordinates.unpack(start)[0]],
-                          lambda stretch: stretch.phase == 'presliding')
+                          lambda segment: segment.phase == 'presliding')
     prior = prior_of(coordinates, start)
     prior.precision[:N_STEADY] = _KNOWN
 
@@ -138,7 +138,7 @@ def fit_presliding(bundle, axis):
 
 def fit_everything(bundle, axis):
     """Return how all parameters of an axis are fitted: a Comparison."""
-    angle = np.concatenate([stretch.angle[:, 0] for stretch in bundle.segments])
+    angle = np.concatenate([segment.angle[:, 0] for segment in bundle.segments])
     start = start_of(friction_map(bundle.segments, bundle.arm, 0, bundle.period, bundle.half[0]),
                      float(np.ptp(angle)), 2.0 * bundle.half[0], axis.joints[0],
                      bundle.segments[0].source)
@@ -175,7 +175,7 @@ def compare(case, budget, repeats):
 
     first = plain_cost(case.start[case.moving])
     found = search(plain_cost, case.start[case.moving], cost * (1.0 + _AS_GOOD), budget)
-    data = sum(len(stretch.angle) for stretch in case.bundle.segments)
+    data = sum(len(segment.angle) for segment in case.bundle.segments)
     if found.reached:
         end = 'it reached our cost'
     elif found.seconds > budget:

@@ -29,7 +29,7 @@ class Search(NamedTuple):
     reached: bool    # the cost asked for
 
 
-def innovations(stretch, theta, inertia, period, half, bandwidth):
+def innovations(segment, theta, inertia, period, half, bandwidth):
     """
     Predict the angles of an axis and return how far the readings (T,) lie off [rad].
 
@@ -41,9 +41,9 @@ def innovations(stretch, theta, inertia, period, half, bandwidth):
     attraction = float(theta[ATTRACTION])
     blocks = theta[BLOCKS:].reshape(2, MOST_BLOCKS)
     stiffness, weight = blocks[:, blocks[1] > 0.0]
-    readings, pushes = stretch.angle[:, 0].tolist(), stretch.torque[:, 0].tolist()
+    readings, pushes = segment.angle[:, 0].tolist(), segment.torque[:, 0].tolist()
     found = np.zeros(len(readings))
-    dq = float(stretch.rate[0, 0])
+    dq = float(segment.rate[0, 0])
     q = readings[0] + 0.5 * period * dq
     sign = 1.0 if pushes[0] >= 0.0 else -1.0
     static = ways[sign][0]

@@ -36,7 +36,7 @@ def hidden(robot, seed):
 
 
 def experiment(robot, gains, joint, seed, *, ideal, **options):
-    """Return recording, phases, and what a fit takes: stretches, period and half a count."""
+    """Return recording, phases, and what a fit takes: segments, period and half a count."""
     plan = read_identification_plan(
         [CONFIG / 'robot.yaml', CONFIG / 'controller.yaml', CONFIG / 'identification.yaml'],
         robot, gains, overrides=SHORT | {'identification.joints': [joint]} | options)
@@ -45,11 +45,11 @@ def experiment(robot, gains, joint, seed, *, ideal, **options):
         plant = replace(plant, encoder=EncoderParams())
     recording, phases = simulate_identification(plan, plant, gains, seed,
                                                 torque_noise=0.0 if ideal else 1e-3)
-    stretches = segments_of(recording, robot, drive_sides(recording, robot), phases)
-    return recording, phases, stretches, half_count(recording, robot)
+    segments = segments_of(recording, robot, drive_sides(recording, robot), phases)
+    return recording, phases, segments, half_count(recording, robot)
 
 
-def unnamed(stretches):
-    """Return the stretches as of a recording without phases."""
-    return [replace(stretch, phase=np.full(len(stretch.phase), '', dtype='U20'))
-            for stretch in stretches]
+def unnamed(segments):
+    """Return the segments as of a recording without phases."""
+    return [replace(segment, phase=np.full(len(segment.phase), '', dtype='U20'))
+            for segment in segments]

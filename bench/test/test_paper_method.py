@@ -22,13 +22,13 @@ STEADY = ('static', 'coulomb', 'velocity', 'viscous')
 @pytest.fixture(scope='module', params=['joint1', 'joint2'])
 def ideal(request, robot, gains):
     j = robot.joints.index(request.param)
-    recording, _, stretches, half = experiment(robot, gains, request.param, SEED, ideal=True)
-    return robot, j, recording.period, stretches, half[j], hidden(robot, SEED).friction
+    recording, _, segments, half = experiment(robot, gains, request.param, SEED, ideal=True)
+    return robot, j, recording.period, segments, half[j], hidden(robot, SEED).friction
 
 
-def fit(data, stretches=None):
+def fit(data, segments=None):
     robot, j, period, own, half, _ = data
-    return fit_paper(own if stretches is None else stretches, robot.arm, j, period, half)
+    return fit_paper(own if segments is None else segments, robot.arm, j, period, half)
 
 
 def steady_of(friction, j):
@@ -40,8 +40,8 @@ def steady_of(friction, j):
                          ids=['phases recorded', 'phases found'])
 def test_hidden_friction_is_found_from_ideal_encoders(ideal, named, off):
     """F_s, F_c, sigma_2 within 1 %, v_s 2 %, C 5 %, presliding within 8 or 20 % of F_s."""
-    _, j, _, stretches, _, truth = ideal
-    found = fit(ideal, stretches if named else unnamed(stretches))
+    _, j, _, segments, _, truth = ideal
+    found = fit(ideal, segments if named else unnamed(segments))
     steady, true = found.theta[:8].reshape(2, 4), steady_of(truth, j)
     np.testing.assert_allclose(steady[:, [0, 1, 3]], true[:, [0, 1, 3]], rtol=0.01)
     np.testing.assert_allclose(steady[:, 2], true[:, 2], rtol=0.02)
@@ -55,8 +55,8 @@ def test_hidden_friction_is_found_from_ideal_encoders(ideal, named, off):
 
 def test_encoders_of_20000_counts_leave_the_steady_part_within_reach(robot, gains):
     """F_s within 10 %, Eq. (6) within 3 %; most presliding is within a few counts, and is not."""
-    recording, _, stretches, half = experiment(robot, gains, 'joint2', SEED, ideal=False)
-    found = fit_paper(stretches, robot.arm, 1, recording.period, half[1])
+    recording, _, segments, half = experiment(robot, gains, 'joint2', SEED, ideal=False)
+    found = fit_paper(segments, robot.arm, 1, recording.period, half[1])
     for own, true in zip(found.theta[:8].reshape(2, 4),
                          steady_of(hidden(robot, SEED).friction, 1), strict=True):
         assert own[0] == pytest.approx(true[0], rel=0.1)

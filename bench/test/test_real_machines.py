@@ -247,9 +247,9 @@ def assert_no_worse(found):
 
 @real
 def test_an_industrial_robot_is_predicted_no_worse_than_by_coulomb_and_viscous():
-    take, other = ([(recording.of_joints(['axis1']), ())] for name in 'AB'
+    recorded, other = ([(recording.of_joints(['axis1']), ())] for name in 'AB'
                    for recording, _ in imported('kr300', f'rec_{name}.csv', 'import_kr300.yaml'))
-    found = identify(take, rigid_joints(['axis1']), holdouts=other, options=ALL)
+    found = identify(recorded, rigid_joints(['axis1']), holdouts=other, options=ALL)
     assert_no_worse(found)
     assert any(estimate.name == 'arm.axis1.stiffness' and 'not identifiable' in estimate.flags
                for estimate in found.joints[0].estimates)
@@ -257,9 +257,9 @@ def test_an_industrial_robot_is_predicted_no_worse_than_by_coulomb_and_viscous()
 
 @real
 def test_a_servo_with_a_pendulum_is_predicted_no_worse_than_by_coulomb_and_viscous():
-    takes, others = (imported('bam_xl330', f'*kp{gain}.csv', 'import_bam_xl330.yaml')
-                     for gain in (100, 400))
-    found = identify(takes, rigid_joints(takes[0][0].joints), holdouts=others, options=ALL)
+    fitted, others = (imported('bam_xl330', f'*kp{gain}.csv', 'import_bam_xl330.yaml')
+                      for gain in (100, 400))
+    found = identify(fitted, rigid_joints(fitted[0][0].joints), holdouts=others, options=ALL)
     assert_no_worse(found)
     gravity = next(estimate for estimate in found.joints[0].estimates
                    if estimate.name == 'arm.joint1.gravity_torque')

@@ -30,7 +30,7 @@ from gms_flex_control.identification.arm_differences import (
     Unknowns,
 )
 from gms_flex_control.identification.arm_estimates import BaseFit
-from gms_flex_control.identification.arm_rows import rows_of
+from gms_flex_control.identification.arm_rows import described_scales, rows_of
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     Base,
@@ -49,7 +49,6 @@ from gms_flex_control.identification.robust_regression import (
     weighting_of,
 )
 from gms_flex_control.identification.segments import drive_sides, rigid_where
-from gms_flex_control.identification.torque_scales import described_scales
 from gms_flex_control.identification.uncertainty import (
     clustered,
     inverse_of,

@@ -1,8 +1,13 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Samples of recordings for a regression of an arm in space, behind one low-pass."""
+"""
+Samples of recordings for a regression of an arm in space, behind one low-pass.
 
+And the scales of recorded torques of which no constant is known, from the links as described.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,6 +23,7 @@ from gms_flex_control.identification.arm_differences import (
 from gms_flex_control.identification.axis_fit import friction_regressors
 from gms_flex_control.identification.inertial_parameters import link_regressors
 from gms_flex_control.identification.objective import BLOCK_TIME
+from gms_flex_control.identification.robust_regression import solution
 from gms_flex_control.identification.segments import (
     filled,
     segments_of,
@@ -37,6 +43,9 @@ _BETWEEN = 4        # steps from one sample to the next of a friction that jumps
 _LAG = 0.05         # by which that is late, F_c / C of common machines [s]
 _SMOOTHED = 0.05    # window of the low-pass, at least [s]: the noise of encoders grows with the
 #                     square of frequency, motion determines inertia well below the 9 Hz that pass
+_SURE = 3.0        # standard errors from which a torque shows what its links require
+_DESCRIBED_SD = 0.5  # of the logarithm of a scale, around what the masses described give
+_ALIKE_SD = 1.0    # and of scales of the joints of one arm, around each other
 
 
 class Rows(NamedTuple):
@@ -210,3 +219,42 @@ def _weighted(values, every):
     for _ in range(3):  # a triangle, and the mean of which angles are differences
         values = uniform_filter1d(values, every, axis=0, mode='nearest')
     return values[::every][1:-1]
+
+
+def described_scales(rows: Rows, described: np.ndarray, own: Callable, unknown: Sequence[int],
+                     names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return what is recorded per true torque, and the prior deviations of its logarithm, (U,) each.
+
+    Of the joints ``unknown`` (U,), beside torques of the links as ``described`` (S, n) [N m].
+    Columns ``own(joint, rows)`` and motor inertia are left open. A joint whose links the motion
+    hardly loads is taken to have a scale like the others'. IdentificationError, of the torque with
+    its name of ``names`` (n,), where one goes against its links or none shows what they require.
+    """
+    found, error = np.array([_scale_of(rows, described, own, j) for j in unknown]).T
+    against = np.flatnonzero(found < -_SURE * error)
+    if len(against):
+        first = against[0]
+        raise IdentificationError(
+            f'{names[unknown[first]]} goes against what its links require ({found[first]:.3g} per '
+            'N m): its sign is reversed, or its torque constant is negative; state it in '
+            'recording.yaml')
+    seen = found > _SURE * error
+    if not seen.any():
+        raise IdentificationError(
+            f'{names[unknown[0]]} and of the others do not show what links require, so that no '
+            'torque constant can be found: state torque_constant in recording.yaml, or move '
+            'against gravity')
+    logs = np.log(np.where(seen, found, np.nan))
+    mean, precision = np.nanmean(logs), _DESCRIBED_SD ** -2 * seen
+    total = precision + _ALIKE_SD ** -2
+    shrunk = (precision * np.where(seen, logs, mean) + mean * _ALIKE_SD ** -2) / total
+    return np.exp(shrunk), 1.0 / np.sqrt(total)
+
+
+def _scale_of(rows, described, own, j):
+    """Return a recorded torque per N m of its links, and its standard error."""
+    columns = np.concatenate([described[:, j:j + 1], rows.acceleration[:, j:j + 1],
+                              own(j, slice(None))], axis=1)
+    values, errors = solution(columns, rows.torque[:, j], rows.block)
+    return values[0], errors[0]

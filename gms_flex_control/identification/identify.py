@@ -84,7 +84,7 @@ class Options:
     force: bool = False          # go on in spite of faults in the data
 
 
-def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
+def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
              options: Options | None = None,
              say: Callable[[str], object] | None = None) -> Identification:
     """
@@ -92,7 +92,7 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
 
     Parameters
     ----------
-    takes : sequence of Recording or (Recording, sequence of Phase)
+    recordings : sequence of Recording or (Recording, sequence of Phase)
         What was recorded, and what the experiment was doing if that is known.
     robot : RobotParams
         The robot as described; its inertia, stiffness and gravity are relied on, its friction
@@ -115,15 +115,15 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
 
     """
     begin, options, say = time.monotonic(), options or Options(), say or (lambda text: None)
-    takes, holdouts = ([one if isinstance(one, tuple) else (one, ()) for one in several]
-                       for several in (takes, holdouts))
+    recordings, holdouts = ([one if isinstance(one, tuple) else (one, ()) for one in several]
+                            for several in (recordings, holdouts))
     with own_warnings() as caught, in_one_thread():  # joints have threads of their own
         say('checking the data')
         whole = options.estimate == 'all'
         model = believed_model(robot, whole, options.force)
-        takes, holdouts = ([(with_torques(at_own_rate(one), robot), phases)
-                            for one, phases in several] for several in (takes, holdouts))
-        for recording, _ in (*takes, *holdouts):
+        recordings, holdouts = ([(with_torques(at_own_rate(one), robot), phases)
+                                 for one, phases in several] for several in (recordings, holdouts))
+        for recording, _ in (*recordings, *holdouts):
             for finding in require(recording, model, force=options.force, rough=whole):
                 if finding.kind != 'torque_scale' or not whole:
                     warnings.warn(finding.text, stacklevel=2)
@@ -131,35 +131,35 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
         if unknown:
             raise IdentificationError(f'{unknown}: its load is unknown, so that nothing can be '
                                       'predicted; give this recording to be fitted as well')
-        currents = _currents_of(takes, robot, whole)
-        data = Data(takes, holdouts, model, whole)
+        currents = _currents_of(recordings, robot, whole)
+        data = Data(recordings, holdouts, model, whole)
         fits = data.fit(options, say)
         say('intervals and errors on data held out')
         joints, arm = data.results(fits)
     return Identification(
         robot=data.with_friction(arm if whole else robot, fits),
         believed=robot,
-        joints=joints, sources=tuple(take.source for take, _ in takes),
-        holdouts=tuple(take.source for take, _ in holdouts),
-        duration=float(sum(take.time[-1] - take.time[0] for take, _ in takes)),
+        joints=joints, sources=tuple(one.source for one, _ in recordings),
+        holdouts=tuple(one.source for one, _ in holdouts),
+        duration=float(sum(one.time[-1] - one.time[0] for one, _ in recordings)),
         period=data.bundle.period,
         warnings=tuple(dict.fromkeys(str(item.message) for item in caught)),
         seconds=time.monotonic() - begin, currents=currents,
         spread=data.arm_fit.spread if whole else None, **data.found_beside(robot.joints))
 
 
-def _currents_of(takes, robot, whole):
+def _currents_of(recordings, robot, whole):
     """Return whether efforts stay currents; IdentificationError where they cannot."""
-    unknown = [joint for take, _ in takes for joint, sd in zip(take.joints, take.scale_sd,
+    unknown = [joint for one, _ in recordings for joint, sd in zip(one.joints, one.scale_sd,
                                                                strict=True)
                if joint in robot.joints and np.isinf(sd)]
     if not unknown or robot.arm.frames is not None:
         return False
     if not whole or robot.arm.kind != 'decoupled' or len(set(unknown)) < robot.n_joints:
         raise IdentificationError(
-            f'{takes[0][0].source}: the torque constant of {unknown[0]} is unknown, but inertia '
-            'is in kg m^2: state it as torque_constant in recording.yaml, or leave --robot away, '
-            'then all is identified per torque constant')
+            f'{recordings[0][0].source}: the torque constant of {unknown[0]} is unknown, but '
+            'inertia is in kg m^2: state it as torque_constant in recording.yaml, or leave '
+            '--robot away, then all is identified per torque constant')
     return True
 
 
@@ -167,22 +167,22 @@ class Data:
     """
     Recordings of one robot, cut into segments.
 
-    ``takes`` and ``holdouts`` are (Recording, phases), the robot is of
+    ``given`` and ``holdouts`` are (Recording, phases), the robot is of
     assumed_robot.believed_model; ``whole`` says that the arm is estimated as well.
     """
 
-    def __init__(self, takes, holdouts, robot, whole=False):
-        half = half_count(takes[0][0].of_joints(robot.joints), robot)  # of readings as they are
-        recordings = [cleared(take.of_joints(robot.joints), robot)
-                      for take, _ in (*takes, *holdouts)]
+    def __init__(self, given, holdouts, robot, whole=False):
+        half = half_count(given[0][0].of_joints(robot.joints), robot)  # of readings as they are
+        recordings = [cleared(one.of_joints(robot.joints), robot)
+                      for one, _ in (*given, *holdouts)]
         period, joints = _common_period(recordings), range(robot.n_joints)
-        self.arm_fit = estimate_arm(recordings[:len(takes)], robot) if whole else None
+        self.arm_fit = estimate_arm(recordings[:len(given)], robot) if whole else None
         robot = self.arm_fit.robot if whole else robot
-        self.differences = _differences(recordings[:len(takes)], robot, self.arm_fit)
+        self.differences = _differences(recordings[:len(given)], robot, self.arm_fit)
         self.described, self.sides = robot, drive_sides(recordings[0], robot)
         self.robot = rigid_where(robot, self.sides)
         parts = [segments_of(recording, robot, self.sides, phases, period) for recording,
-                 (_, phases) in zip(recordings, (*takes, *holdouts), strict=True)]
+                 (_, phases) in zip(recordings, (*given, *holdouts), strict=True)]
         if self.differences:
             parts = [[self.differences.cleared(one, r) for one in part]
                      for r, part in enumerate(parts)]
@@ -195,12 +195,12 @@ class Data:
             parts = [[self.arm_fit.cleared(one) for one in part] for part in parts]
         fitted, apart = (while_moved([one for part in parts[rows] for one in part],
                                      recordings[rows]) for rows in (
-            slice(len(takes)), slice(len(takes), None)))
+            slice(len(given)), slice(len(given), None)))
         segments, self._apart = numbered(fitted, period), apart
         self._steps = np.array([resolution(segments, j, 2.0 * half[j]) for j in joints])
         self.maps = [friction_map(segments, self.robot.arm, j, period, half[j]) for j in joints]
-        self._sources = [take.source for take, _ in takes]
-        self._driven = np.any([driven(one, self.sides) for one in recordings[:len(takes)]], axis=0)
+        self._sources = [one.source for one, _ in given]
+        self._driven = np.any([driven(one, self.sides) for one in recordings[:len(given)]], axis=0)
         self.fitted = self._joints_to_fit()  # all that follows is of these joints
         if len(self.fitted) < robot.n_joints:
             self.robot = only_joints(self.robot, [robot.joints[j] for j in self.fitted])

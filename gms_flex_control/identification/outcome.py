@@ -211,9 +211,8 @@ def floor_shares(held_out: HeldOut) -> tuple[float, float]:
 
 
 def joint_sentences(result: JointResult) -> list:
-    """Return (sentence, whether a warning): what can be trusted of a joint, and what to record."""
-    return [*_prediction(result.held_out), *_parameters(result),
-            *((text, True) for text in result.warnings)]
+    """Return (sentence, whether a warning): how far a joint is predicted, and its warnings."""
+    return [*_prediction(result.held_out), *((text, True) for text in result.warnings)]
 
 
 def _prediction(errors):
@@ -253,23 +252,6 @@ def _floor(errors):
     return f'{text[0].upper()}{text[1:]}.'
 
 
-def _parameters(result):
-    names = {kind: [] for kind in STANDINGS}
-    for estimate in result.estimates:
-        names[standing(estimate)].append(estimate)
-    lines = []
-    for kind, opening, warn in (
-            ('well known', f'Known within {100 * WELL_KNOWN:g} %', False),
-            ('roughly known', 'Known roughly', False),
-            ('doubtful', 'To be taken with care', True),
-            (NOT_IDENTIFIABLE, 'NOT identifiable from these data, not to be taken as facts',
-             True), (SET, 'Set, not fitted', False)):
-        if names[kind]:
-            mentions = [_mention(estimate, kind, result.joint) for estimate in names[kind]]
-            lines.append((f"{opening}: {', '.join(_joined(mentions))}.", warn))
-    return [*lines, *((note, False) for note in notes(result))]
-
-
 def notes(result: JointResult) -> list:
     """Return the notes on estimates of a JointResult as sentences, those alike as one."""
     about = {}
@@ -278,14 +260,6 @@ def notes(result: JointResult) -> list:
             about.setdefault(estimate.note.rstrip('.'), []).append(
                 short_name(estimate.name, result.joint))
     return [f"{', '.join(_joined(names))}: {note}." for note, names in about.items()]
-
-
-def _mention(estimate, kind, joint):
-    name = short_name(estimate.name, joint)
-    if kind == 'roughly known':
-        return f'{name} (± {percent(spread(estimate))})' if np.isfinite(
-            spread(estimate)) else f'{name} (no interval)'
-    return f"{name} ({', '.join(estimate.flags)})" if kind == 'doubtful' else name
 
 
 def _joined(mentions):

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Hops leave wrong hollows of a rough cost, coarse looks at the data come first."""
+"""Multi-start leaves wrong local minima of a rough cost; coarse looks at the data come first."""
 
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.least_squares import Prior, refine
@@ -15,7 +15,7 @@ TRUE_YIELDS = np.array([0.3e-3, 0.6e-3])
 COORDINATES = Coordinates(2)
 TRUTH = np.concatenate([np.zeros(N_STEADY), np.log(TRUE_YIELDS)])
 PRIOR = Prior(TRUTH, np.full(COORDINATES.size, 1e-9))
-RIPPLE = 0.02         # hollows of a yield lie 2 pi times that apart
+RIPPLE = 0.02         # local minima of a yield lie 2 pi times that apart
 STEEP = np.where(np.arange(COORDINATES.size) < N_STEADY, 0.0, 2.0)  # above 1 they end a fit
 
 
@@ -39,8 +39,8 @@ class Rippled:
 
 
 @pytest.mark.parametrize('seed', range(2))
-def test_hops_find_the_hollow_that_a_single_fit_misses(seed):
-    """The fit ends some hollows off, the best of the hops at the truth."""
+def test_multi_start_finds_the_minimum_that_a_single_fit_misses(seed):
+    """One fit ends some local minima off, the best of the starts at the truth."""
     start = TRUTH.copy()
     start[COORDINATES.yields] += np.log([1.6, 0.6])
     objective = Rippled()
@@ -54,7 +54,7 @@ def test_hops_find_the_hollow_that_a_single_fit_misses(seed):
 
 
 def test_a_start_in_the_best_hollow_gains_nothing():
-    """From the truth no hop finds better, and the best end stays there."""
+    """From the truth no start finds better, and the best end stays there."""
     found = multi_start(Rippled(), COORDINATES, (TRUTH,), PRIOR, COUNT,
                         np.random.default_rng(0), 8)
     assert found.ends[0] == pytest.approx(TRUTH, abs=1e-6)
