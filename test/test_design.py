@@ -441,9 +441,34 @@ def test_experiments_measure_what_they_can_within_limits(robot, gains):
     assert found.values['identification.joints'] == ['joint1', 'joint2']
     assert found.duration > 10.0 and 'static of joint1, blocks of joint2' in found.sentence()
     assert experiments_for(missing[2:], [robot], gains, LIMITS) is None
-    for tight in (replace(LIMITS, lower=[-0.05] * 2, upper=[0.05] * 2),
-                  replace(LIMITS, torque=[0.01] * 2)):
-        assert experiments_for(missing, [robot], gains, tight) is None
+    for tight, why in (
+            (replace(LIMITS, lower=[-0.02] * 2, upper=[0.02] * 2), 'must be above lower'),
+            (replace(LIMITS, torque=[0.01] * 2), 'the limit is 0.01 N m')):
+        found = experiments_for(missing, [robot], gains, tight)
+        assert not found.measured and why in found.refused and found.refused in found.sentence()
+
+
+def test_experiments_are_slowed_down_until_they_keep_the_limits_of_a_bridge(robot, gains):
+    """At 0.9 of its velocities joint1 would need 0.8 s and twice its range to get to speed."""
+    limits = load_limits([CONFIG / 'bridge.yaml'], JOINTS)
+    found = experiments_for([('level', 'joint1'), ('static', 'joint1')], [robot], gains, limits)
+    assert found.values['identification.experiments'] == ['constant_velocity', 'break_away']
+    assert found.values['identification.joint1.velocity'] < limits.velocity[0]
+    assert not found.refused
+    plan = plan_identification(found.values, robot, gains)
+    assert (plan.limits.torque <= limits.torque).all()
+
+
+def test_an_experiment_that_no_pace_allows_takes_no_other_along(robot, gains):
+    """Where v_s is believed to be 0.6 rad/s there is no room to slide at 5 times of it."""
+    curve = robot.friction.forward
+    fast = replace(robot, friction=replace(robot.friction, forward=replace(
+        curve, velocity=[0.6, curve.velocity[1]])))
+    found = experiments_for([('attraction', 'joint1'), ('static', 'joint1')], [fast], gains,
+                            load_limits([CONFIG / 'bridge.yaml'], JOINTS))
+    assert found.values['identification.experiments'] == ['break_away']
+    assert found.measured == (('static', 'joint1'),)
+    assert 'Left out within these limits: identification.joint1: step sliding/' in found.sentence()
 
 
 def test_a_draw_is_two_standard_deviations_away():
@@ -471,27 +496,32 @@ def test_what_identify_left_open_is_determined_by_the_motion_planned(
         robot, gains, swings, tmp_path, capsys):
     write_recording(tmp_path / 'bag', swings, robot.motors)
     names = {'friction.joint2.stiffness[0]': 'not identifiable',
-             'friction.joint2.attraction': 'doubtful', 'friction.joint2.forward.coulomb': 'good'}
+             'friction.joint2.attraction': 'doubtful', 'friction.joint2.forward.coulomb': 'good',
+             'friction.joint2.forward.velocity': 'doubtful'}
     (tmp_path / 'report.json').write_text(json.dumps({
         'sources': [str(tmp_path / 'bag')], 'joints': [{
             'joint': 'joint2', 'estimates': [
                 {'name': name, 'standing': standing} for name, standing in names.items()]}]}))
     assert missing_of(json.loads((tmp_path / 'report.json').read_text())) == [
-        ('blocks', 'joint2'), ('attraction', 'joint2')]
+        ('blocks', 'joint2'), ('attraction', 'joint2'), ('velocity', 'joint2')]
     arguments = ['next', tmp_path, '--robot', CONFIG / 'robot.yaml', '--limits',
                  CONFIG / 'bridge.yaml', '--longest', '8', '--out', tmp_path / 'plan']
     assert main(list(map(str, arguments))) == 0
     values = json.loads((tmp_path / 'plan' / 'plan.json').read_text())
-    assert set(values['missing']) == {'blocks of joint2', 'attraction of joint2'}
+    assert set(values['missing']) == {
+        'blocks of joint2', 'attraction of joint2', *(
+            f'{direction} velocity of joint2' for direction in ('forward', 'backward'))}
     best = values['compared'][0]
     assert best['log_determinant'] == max(one['log_determinant'] for one in values['compared'])
     assert (np.array(best['sd']) < values['sd_before']).all()
-    assert 'attraction of joint2 to' in ' '.join(capsys.readouterr().out.split())
+    printed = ' '.join(capsys.readouterr().out.split())
+    assert 'attraction of joint2 to' in printed
+    assert 'identification.yaml' in printed and 'by identification_node, measure' in printed
     assert (tmp_path / 'plan' / 'trajectory.yaml').is_file()
     planned, _ = read_values([tmp_path / 'plan' / 'identification.yaml'])
     steps = plan_identification(planned, robot, gains).experiments
     assert {(one.phase, one.joint) for one in steps} == {
-        ('presliding', 'joint2'), ('sliding', 'joint2')}
+        ('constant_velocity', 'joint2'), ('presliding', 'joint2'), ('sliding', 'joint2')}
     limits = load_limits([CONFIG / 'bridge.yaml'], JOINTS)
     assert planned['identification.joint1.upper'] == limits.upper[0]
     assert main([*map(str, arguments), '--weight', '1']) == 2

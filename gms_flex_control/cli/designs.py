@@ -104,13 +104,12 @@ def _determine(report, args, out):
             duration=min(args.longest, _DETERMINED), say=say)
     trajectory, columns = planning.write_plan(plan, out), ('so far', 'then', '')
     files = {'motion': trajectory, 'numbers': out / 'plan.json'}
-    if plan.experiments is not None:
+    experiments = plan.experiments and plan.experiments.sentence()
+    if plan.experiments is not None and plan.experiments.measured:
         files['experiments'] = out / 'identification.yaml'
-        save_values(plan.experiments.values, files['experiments'],
-                    comment=plan.experiments.sentence())
-        say(plan.experiments.sentence())
+        save_values(plan.experiments.values, files['experiments'], comment=experiments)
     values = {'sentence': plan.sentence(), 'missing': plan.missing, 'duration': plan.duration,
-              'experiments': plan.experiments and plan.experiments.sentence(),
+              'experiments': experiments,
               'sd_before': plan.before.sd, 'compared': [
                   {'motion': one.candidate.name, 'log_determinant': one.information,
                    'sd': one.sd} for one in plan.compared]}
@@ -121,7 +120,8 @@ def _determine(report, args, out):
     numbers = tuple(Number(f'{name} [%]', *(f'{100.0 * sd:.2g}' for sd in pair), '')
                     for name, *pair in zip(plan.missing, plan.before.sd, plan.best.sd,
                                            strict=True))
-    conclude(Answer(plan.sentence(), columns, numbers[:3], command(
+    sentence_of_all = ' '.join(filter(None, (plan.sentence(), experiments)))
+    conclude(Answer(sentence_of_all, columns, numbers[:3], command(
         'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',
         f'{plan.duration:.0f}', '--out', out / 'bag')), files)
     return 0

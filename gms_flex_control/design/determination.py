@@ -11,6 +11,7 @@ eliminated with what is known of them.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Operation, Recording
@@ -30,6 +31,8 @@ from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 _OPEN = 'not identifiable', 'doubtful'  # standings of estimates
+_DIRECTIONS = 'forward', 'backward'  # rows of friction parameters
+_SOFTER = tuple(1.25 ** k for k in range(16))  # parts of the quickest acceleration that are tried
 _NOTHING_KNOWN = 1e-4  # prior information, relative, about what was not identified
 # kinds of relative changes that stand for a parameter, by the last part of its name
 _KINDS = {'static': ('static',), 'coulomb': ('level',), 'velocity': ('velocity',),
@@ -55,13 +58,17 @@ class Experiments(NamedTuple):
     values: dict      # its parameters
     duration: float   # about [s]
     measured: tuple   # of (kind, joint)
+    refused: str      # why others that would measure more are left out
 
     def sentence(self) -> str:
         """Return what it does."""
+        left_out = self.refused and f'Left out within these limits: {self.refused}.'
+        if not self.measured:
+            return left_out
         return (f'{" and ".join(self.values["identification.experiments"])} of '
                 f'{" and ".join(self.values["identification.joints"])}, about '
                 f'{self.duration:.0f} s by identification_node, measure '
-                f'{", ".join(" of ".join(key) for key in self.measured)}.')
+                f'{", ".join(" of ".join(key) for key in self.measured)}. {left_out}'.rstrip())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,7 +123,7 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
     so_far = _information(recordings, robot, missing)
     loop = Loop(clipped(gains, limits), limits, period, (), (robot, *so_far.drawn(robot)),
                 recordings[-1].operation.load)
-    experiments = experiments_for(missing, loop.kept, loop.gains, limits, say=say)
+    experiments = experiments_for(missing, loop.kept, loop.gains, limits)
     found, stuck = [], below_break_away(robot)
     for kind in zip(*(candidates(limits, robot.joints, pace, stuck=stuck) for pace in PACES),
                     strict=True):
@@ -133,43 +140,63 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
         raise ConfigError('every motion would cross a limit; widen the limits, or look at gains '
                           'with gms_flex tune')
     found.sort(key=lambda one: -one.information)
-    return Determination(missing=tuple(' of '.join(key) for key in so_far.wanted.values()),
+    return Determination(missing=tuple(_words(robot, so_far.nuisances[i]) for i in so_far.wanted),
                          experiments=experiments, before=so_far.worth(), compared=tuple(found),
                          duration=duration)
 
 
 def experiments_for(missing: Sequence[tuple[str, str]], robots: Sequence[RobotParams],
-                    gains: ControllerParams, limits: Limits, *,
-                    say: Callable[[str], object] = lambda text: None) -> Experiments | None:
+                    gains: ControllerParams, limits: Limits) -> Experiments | None:
     """
     Return the Experiments that measure what is missing of the first of ``robots``.
 
-    None without any, or where a step would cross a limit with any of the ``robots``.
+    None without any. Of several paces the fastest at which most of the experiments cross no limit
+    with any of the ``robots``.
     """
     joints = robots[0].joints
-    measured = tuple((kind, joint) for kind, joint in missing
-                     if joint in joints and any(kind in one for one in _MEASURED_BY.values()))
-    if not measured:
+
+    def measured_by(names):
+        kinds = [kind for name in names for kind in _MEASURED_BY[name]]
+        return tuple((kind, joint) for kind, joint in missing if joint in joints and kind in kinds)
+
+    wanted = [name for name in _MEASURED_BY if measured_by([name])]
+    if not wanted:
         return None
-    values = {
-        'identification.experiments': [name for name, kinds in _MEASURED_BY.items()
-                                       if any(kind in kinds for kind, _ in measured)],
-        'identification.joints': [one for one in joints if one in {key[1] for key in measured}]}
+    values = {'identification.joints': [one for one in joints if one in {
+        joint for _, joint in measured_by(wanted)}]}
     for j, joint in enumerate(joints):
         values |= {f'identification.{joint}.{name}': float(getattr(limits, name)[j])
-                   for name in ('lower', 'upper', 'velocity', 'torque')}
-    refused = None
-    for pace in PACES:  # there is no limit of acceleration, but one of torque
-        values |= {f'identification.{joint}.acceleration': float(QUICK * limits.velocity[j] / pace)
-                   for j, joint in enumerate(joints)}
+                   for name in ('lower', 'upper', 'torque')}
+    kept, found = [], None
+    # there is no limit of acceleration, but one of torque, and of the room that a speed needs
+    for slower, softer in product(PACES, _SOFTER):
+        for joint, velocity in zip(joints, limits.velocity, strict=True):
+            values |= {f'identification.{joint}.velocity': float(velocity / slower),
+                       f'identification.{joint}.acceleration': float(QUICK * velocity / softer)}
+        lacking = [name for name in wanted if name not in kept]
+        if found and not _within_limits(values, lacking, robots, gains)[0]:
+            continue  # no more than before
+        plans, refusals = _within_limits(values, wanted, robots, gains)
+        if found is None or len(plans) > len(kept):
+            kept = list(plans)
+            found = Experiments(
+                values | {'identification.experiments': kept},
+                sum(one.duration() for one in plans.values()), measured_by(kept), refusals)
+        if not refusals:
+            break
+    return found
+
+
+def _within_limits(values, names, robots, gains):
+    """Return a plan of each of the experiments that keeps all limits, and why others do not."""
+    plans, refusals = {}, []
+    for name in names:
+        alone = values | {'identification.experiments': [name]}
         try:
-            plans = [plan_identification(values, robot, gains) for robot in robots]
+            plans[name] = [plan_identification(alone, one, gains) for one in robots][0]
         except ConfigError as error:
-            refused = refused or error
-        else:
-            return Experiments(values, plans[0].duration(), measured)
-    say(f'no experiments of identification_node: {refused}')
-    return None
+            refusals.append(str(error))
+    return plans, '; '.join(refusals)
 
 
 class _Information(NamedTuple):
@@ -220,3 +247,10 @@ def _information(recordings, robot, missing):
 def _key(robot, nuisance):
     """Return (kind, joint) of a nuisance parameter."""
     return nuisance.name, 'arm' if nuisance.joint < 0 else robot.joints[nuisance.joint]
+
+
+def _words(robot, nuisance):
+    """Return a nuisance parameter in words, by direction where it is of one."""
+    rows = {index[0] for _, _, index in getattr(nuisance, 'fields', ()) if np.ndim(index)}
+    direction = f'{_DIRECTIONS[rows.pop()]} ' if len(rows) == 1 else ''
+    return direction + ' of '.join(_key(robot, nuisance))
