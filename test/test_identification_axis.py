@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from core_runs import scaled_friction, single_axis
 from discrepancy_runs import FRICTIONLESS
 from gms_flex_control.data.recording import Phase
-from gms_flex_control.identification.friction_map import friction_map
+from gms_flex_control.identification.friction_map import friction_map, repeatability
 from gms_flex_control.identification.identify import Data, identify, Options
 from gms_flex_control.identification.segments import resolution, Segment
 from identified_axis import axis, experiment, JOINT, part, STATIC, without_phases, YIELDS
@@ -62,6 +62,26 @@ def test_friction_is_seen_where_no_quarter_second_goes_one_way(frequency):
         rows = way * found.velocity > 0.0
         assert rows.sum() >= 3
         np.testing.assert_allclose(np.median(found.torque[rows]), way * friction, rtol=0.02)
+
+
+def test_repeatability_is_the_spread_of_friction_among_strokes_not_of_torques_at_rest():
+    """Six strokes either way, 3 s of rest after each, when the torque is anything."""
+    levels = 0.3 + 0.01 * np.random.default_rng(3).standard_normal((6, 2))
+    rate, torque = [], []
+    for k, (forward, backward) in enumerate(levels):
+        for speed, level in ((0.5, forward), (-0.5, -backward)):
+            rate += [*np.full(2000, speed), *np.zeros(3000)]
+            torque += [*np.full(2000, level), *np.full(3000, 0.05 * k)]
+    rate = np.array(rate)[:, None]
+    segment = Segment(begin=0.0, angle=np.cumsum(rate, axis=0) * 1e-3, rate=rate,
+                      acceleration=np.zeros_like(rate), torque=np.array(torque)[:, None],
+                      tested=np.ones_like(rate, dtype=bool),
+                      phase=np.full(len(rate), 'constant_velocity'), source='strokes')
+    arm = single_axis(FRICTIONLESS, 0.02).arm
+    assert repeatability([segment], arm, 0, 1e-3, 1e-6) == pytest.approx(
+        np.sqrt(np.mean(np.var(levels, axis=0, ddof=1))), rel=1e-3)
+    segment.phase[:] = 'sliding'
+    assert np.isnan(repeatability([segment], arm, 0, 1e-3, 1e-6))
 
 
 def assert_recovered(found):

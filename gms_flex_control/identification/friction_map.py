@@ -4,6 +4,7 @@
 """Friction against velocity (Fig. 3): the Stribeck curve through it, and where a fit begins."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 import warnings
 
@@ -19,6 +20,8 @@ N_SPREAD = 8        # blocks with fixed yields that find the shape of the presli
 _WINDOW = 0.25      # of one point of the map, at most [s]
 _SHORTEST = 4       # samples of one
 _UNSTEADY = 0.25    # relative change of velocity within a window that still counts as steady
+_SAME_SPEED = 0.02  # relative, of strokes that repeat each other
+_LAGGING = 2        # windows at the beginning of one
 _SLOWEST_STEPS = 3  # encoder steps a window must travel
 _FEWEST = 4         # points of a direction for a Stribeck curve; below, Coulomb and viscous only
 _FEWEST_WINDOWS = 3  # of motion in a direction
@@ -91,27 +94,29 @@ def friction_map(segments: Sequence[Segment], arm: ArmParams, joint: int, period
 
 def _in_windows(segments, arm, joint, period, half, size):
     """Return the friction in windows of ``size`` samples."""
-    rows = []
-    for segment in segments:
-        torque = friction_torque(segment, arm)[:, joint]
-        rate, tested = segment.rate[:, joint], segment.tested[:, joint]
-        angle = filled(segment.angle[:, joint:joint + 1])[:, 0]
-        count = len(rate) // size
-        if not count:
-            continue
-        cut = slice(0, count * size)
-        rates = rate[cut].reshape(count, size)
-        travel = np.ptp(angle[cut].reshape(count, size), axis=1)
-        mean = rates.mean(axis=1)
-        spread = np.ptp(rates, axis=1)
-        one_way = (np.abs(rates).min(axis=1) > 0.0) & (np.abs(np.sign(rates).sum(axis=1)) == size)
-        good = one_way & (travel > 2 * _SLOWEST_STEPS * half) & tested[cut].reshape(
-            count, size).all(axis=1)
-        steady = spread < _UNSTEADY * np.abs(mean) + 4.0 * half / (size * period)
-        middle = torque[cut].reshape(count, size).mean(axis=1)
-        rows.append(np.stack([mean, middle, steady], axis=1)[good])
+    rows = [_windows(segment, arm, joint, period, half, size, segment.tested[:, joint])
+            for segment in segments if len(segment.rate) >= size]
+    rows = [table[good] for table, good in rows]
     table = np.concatenate(rows) if rows else np.zeros((0, 3))
     return FrictionMap(table[:, 0], table[:, 1], table[:, 2] > 0)
+
+
+def _windows(segment, arm, joint, period, half, size, chosen):
+    """
+    Return mean rate, mean friction and whether it is steady, (W, 3), of windows of a Segment.
+
+    And in which (W,) all samples are ``chosen`` and the joint moves one way, far enough.
+    """
+    count = len(segment.rate) // size
+    cut = slice(0, count * size)
+    rates, torque, angle, chosen = (values[cut].reshape(count, size) for values in (
+        segment.rate[:, joint], friction_torque(segment, arm)[:, joint],
+        filled(segment.angle[:, joint:joint + 1])[:, 0], chosen))
+    mean = rates.mean(axis=1)
+    one_way = (np.abs(rates).min(axis=1) > 0.0) & (np.abs(np.sign(rates).sum(axis=1)) == size)
+    good = one_way & (np.ptp(angle, axis=1) > 2 * _SLOWEST_STEPS * half) & chosen.all(axis=1)
+    steady = np.ptp(rates, axis=1) < _UNSTEADY * np.abs(mean) + 4.0 * half / (size * period)
+    return np.stack([mean, torque.mean(axis=1), steady], axis=1), good
 
 
 def _fit_stribeck(velocity, torque):
@@ -232,27 +237,27 @@ def _steady_rows(friction_map, sign):
     return steady if steady.sum() >= _FEWEST_WINDOWS else rows
 
 
-def repeatability(segments: Sequence[Segment], arm: ArmParams, joint: int) -> float:
+def repeatability(segments: Sequence[Segment], arm: ArmParams, joint: int, period: float,
+                  half: float) -> float:
     """
-    Return the standard deviation of friction among repeats of equal motion [N m].
+    Return the standard deviation of friction among strokes of equal velocity [N m].
 
-    NaN without any.
+    NaN without any. ``period`` and ``half`` are those of `friction_map`.
     """
-    groups = {}
+    size, groups = max(round(0.5 * _WINDOW / period), _SHORTEST), {}
     for segment in segments:
-        owned = segment.tested[:, joint]
-        steady = owned & (segment.phase == 'constant_velocity')
-        if not steady.any():
+        steady = segment.tested[:, joint] & (segment.phase == 'constant_velocity')
+        if len(steady) < size or not steady.any():
             continue
-        torque, rate = friction_torque(segment, arm)[:, joint], segment.rate[:, joint]
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(np.int8), [0]])))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            speeds = rate[begin:end]
-            typical = np.median(speeds)
-            near = np.abs(speeds - typical) < 0.1 * abs(typical)
-            if near.sum() > 10:
-                key = round(float(np.sign(typical)) * np.log(abs(typical)) * 10.0)
-                groups.setdefault((np.sign(typical), key), []).append(
-                    torque[begin:end][near].mean())
+        table, good = _windows(segment, arm, joint, period, half, size, steady)
+        rows = np.flatnonzero(good & (table[:, 2] > 0))
+        speeds = np.round(np.log(np.abs(table[rows, 0])) / _SAME_SPEED)
+        keys = [(np.sign(table[row, 0]), speed) for row, speed in zip(rows, speeds, strict=True)]
+        ends = [0, *(k for k in range(1, len(rows)) if rows[k] > rows[k - 1] + 1
+                     or keys[k] != keys[k - 1]), len(rows)]
+        for begin, end in pairwise(ends):  # of a stroke; friction lags behind its beginning
+            if end > begin + _LAGGING:
+                groups.setdefault(keys[begin], []).append(
+                    table[rows[begin + _LAGGING:end], 1].mean())
     spreads = [np.var(values, ddof=1) for values in groups.values() if len(values) > 1]
     return float(np.sqrt(np.mean(spreads))) if spreads else float('nan')

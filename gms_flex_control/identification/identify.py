@@ -333,7 +333,8 @@ class Data:
         simple = simple_theta(self.bundle, joint, fits, self.step[joint], bool(self._apart))
         return held_out_errors(
             Objective(bundle, joint, [one.theta for one in fits]), bundle, theta, simple, chosen,
-            self.step[joint], repeatability(self.bundle.segments, self.robot.arm, joint))
+            self.step[joint], repeatability(self.bundle.segments, self.robot.arm, joint,
+                                            self.bundle.period, self.bundle.half[joint]))
 
 
 def _differences(recordings, robot, arm_fit):
