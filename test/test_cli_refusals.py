@@ -41,6 +41,7 @@ OPTIONS = [
     ('urdf --limits {robot}', 'no limits.<joint> is in it'),
     ('urdf --out {file}/arm.urdf', '{file}/arm.urdf: {file} is a file; name a folder'),
     ('urdf --out /proc/foo', '/proc/foo: cannot be written (No such file or directory)'),
+    ('analyse {missing} --out /proc/foo', '--out /proc/foo: /proc cannot be written'),
     ('info {empty}', '{empty}: is empty (0 bytes)'),
     ('next {folder} --robot {robot} --limits {bridge} --out x', 'name a folder that gms_flex'),
     ('demo --out {dir} --duration -1', '--duration'),

@@ -73,6 +73,7 @@ def find_map(name) -> Path:
 
 def analyse(args) -> int:
     """Compare bags with and without compensation, write the report; return 0."""
+    refuse_unwritable(args.out)
     if args.label and len(args.label) != len(args.bags):
         raise BagError(f'--label was given {len(args.label)} times for {len(args.bags)} bags; '
                        'give it once per bag, in their order, or not at all')

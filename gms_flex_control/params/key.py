@@ -12,6 +12,7 @@ from gms_flex_control.errors import ConfigError, nearest, ParameterError
 import numpy as np
 
 REQUIRED = object()
+_NO_UNIT = '', '1'
 SMALLEST = 1e-12  # of what must be above zero
 _NAMES = {'double': 'a number', 'integer': 'a whole number', 'string': 'a text',
           'boolean': 'true or false', 'double_array': 'a list of numbers',
@@ -109,8 +110,8 @@ def checked(key: Key, value) -> Any:
     """
     typed = _typed(key.kind, value)
     if typed is None:
-        raise ConfigError(f'{key.name} must be {_NAMES[key.kind]}'
-                          f'{f" [{key.unit}]" if key.unit else ""}, got {value!r}')
+        unit = f' [{key.unit}]' if key.unit not in _NO_UNIT else ''
+        raise ConfigError(f'{key.name} must be {_NAMES[key.kind]}{unit}, got {value!r}')
     if key.choices and typed not in key.choices:
         raise ConfigError(f"{key.name} must be one of {', '.join(key.choices)}, got {typed!r}"
                           f'{nearest(typed, key.choices)}')
@@ -125,8 +126,8 @@ def _check_range(key, number):
     if math.isnan(number) or (math.isinf(number) and not infinite_allowed):
         raise ConfigError(f'{key.name} must be finite, got {number}')
     if not key.lower <= number <= key.upper:
-        raise ConfigError(f'{key.name} must be {range_in_words(key)}'
-                          f'{f" {key.unit}" if key.unit else ""}, got {number:g}')
+        unit = f' {key.unit}' if key.unit not in _NO_UNIT else ''
+        raise ConfigError(f'{key.name} must be {range_in_words(key)}{unit}, got {number:g}')
 
 
 def range_in_words(key: Key) -> str:

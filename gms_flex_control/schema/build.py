@@ -55,6 +55,9 @@ def joint_names(values: dict) -> tuple[str, ...]:
     joints = checked(key, values[key.name])
     if not joints:
         raise ConfigError('joints is empty: name at least one link side')
+    twice = next((joint for joint in joints if joints.count(joint) > 1), None)
+    if twice is not None:
+        raise ConfigError(f'joints names {twice!r} twice; each link side has a name of its own')
     return joints
 
 
