@@ -201,6 +201,7 @@ def test_the_running_loop_is_shown_and_its_gains_are_set_through_ros(browser, tm
         browser.screen(1280, 860)
         browser.visit(view.printed().split()[0])
         browser.until('document.getElementById("state").textContent.includes("plant_node")')
+        browser.until('document.getElementById("title").getBoundingClientRect().top < 30')
         files = [*harness.FILES, harness.CONFIG / 'sinusoid.yaml']
         lab.start('controller_node', files=files)
         lab.start('trajectory_node', files=files, trajectory__autostart=True)
@@ -258,6 +259,7 @@ def check_requests(browser):
     browser.until('document.getElementById("robot-state").textContent === "ACTIVE"')
     browser.until('/^[0-9.]+ % late$/.test(document.getElementById("robot-late").textContent)')
     request('emergency_stop', 'FAULT', 'emergency stop by service')
+    assert browser.ask('document.querySelector("#robot .answer").textContent') == ''  # said once
     request('enable', 'FAULT', answer='reset first')
     assert browser.ask('document.querySelector("#robot .next").id') == 'ask-reset'
     browser.until('document.querySelector("#compensation .large").textContent === "–"')

@@ -8,6 +8,7 @@ const SHOWN = 4000;     // an answer [ms]
 const GROUPS = [
   ['Motion', [['start', 'Start'], ['stop', 'Stop']]],
   ['Torque', [['enable', 'On'], ['disable', 'Off'], ['reset', 'Reset']]]];
+const TOLD = new Set(['start', 'stop']);   // of others the state tells what came of it
 const NEXT = {FAULT: 'reset', ZERO: 'enable'};   // the way on from a state
 
 /* How the robot is, and the requests that plant and trajectory answer. */
@@ -42,7 +43,7 @@ export class Controls {
   async ask(request) {
     try {
       const {success, message} = await send('/api/call', {name: request});
-      this.say(success, message);
+      this.say(success, success && !TOLD.has(request) ? '' : message);
     } catch (error) {
       this.say(false, error.message);
     }
