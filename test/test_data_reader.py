@@ -284,6 +284,11 @@ BAD = [
      '5 x joint 2'),
     ({'states': GOOD, 'references': [(1, cdr.pack_reference(np.zeros((6, 2)), 0))]},
      'has 12 numbers (derivative 6 x joint 2), expected derivative 5 x joint 2'),
+    ({'states': [*GOOD, (5 * PERIOD, cdr.pack_joint_states(
+        ('a', 'b', 'b_motor'), [5 * PERIOD], [[0.0, 0.0, 1e300]], None, None)[0])]},
+     "/joint_states has position 1e+300 rad for 'b_motor' at 0.010 s; is it in counts?"),
+    ({'states': [state(k, ('a', 'b', 'b')) for k in range(5)]},
+     "topic '/joint_states' names 'b' more than once; who publishes it?"),
     ({'states': [*GOOD, (5 * PERIOD, GOOD[0][1][:60])]},
      "topic '/joint_states' message 5 is cut short: "),
     ({'states': [*GOOD, (5 * PERIOD, b'{"json": 1}')]},

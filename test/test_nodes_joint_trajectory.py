@@ -12,6 +12,7 @@ import pytest
 trajectory_msgs = pytest.importorskip('trajectory_msgs.msg')
 joint_trajectory = pytest.importorskip('gms_flex_control.nodes.joint_trajectory')
 messages = pytest.importorskip('gms_flex_control.nodes.messages')
+reference_motion = pytest.importorskip('gms_flex_control.nodes.reference_motion')
 JOINTS = ('a', 'b')
 SECOND = 1_000_000_000
 
@@ -45,6 +46,20 @@ def test_points_are_read_in_our_order_with_what_they_leave_open():
 def test_what_makes_no_sense_is_refused_with_the_reason(given, reason):
     with pytest.raises(messages.RefusedError, match=reason):
         joint_trajectory.read_joint_trajectory(given, JOINTS)
+
+
+def test_points_without_time_are_refused_as_such_and_those_of_the_past_by_their_age():
+    still = SimpleNamespace(q=np.zeros(2), dq=np.zeros(2))
+    motion = reference_motion.Motion(
+        JOINTS, still, None, {'trajectory.autostart': False, 'trajectory.type': 'hold'},
+        lambda *_, **__: None)
+    motion.begin(0)
+    motion.published = 5 * SECOND
+    points = joint_trajectory.read_joint_trajectory(message((0, [1.0, 2.0], [])), JOINTS)
+    with pytest.raises(messages.RefusedError, match='leaves no time to go there'):
+        motion.through(motion.here(), *points, 0)
+    with pytest.raises(reference_motion.PastError, match='was over 2 s ago'):
+        motion.through(motion.here(), *points, 3 * SECOND)
 
 
 def tolerance(name, position=0.0, velocity=0.0):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag, namespace_of
 from gms_flex_control.data.conditions import conditions_of, with_conditions
-from gms_flex_control.data.recording import Phase, Recording, Topics
+from gms_flex_control.data.recording import LARGEST_STATE, Phase, Recording, Topics
 from gms_flex_control.data.series import names_of, Series
 from gms_flex_control.errors import BagError
 import numpy as np
@@ -83,6 +83,11 @@ def _columns(path, series, motors):
     columns = {'time': (stamps - stamps[0]) * 1e-9}
     columns['q_link'], columns['q_motor'] = series.states('position', order)
     columns['dq_link'], columns['dq_motor'] = series.states('velocity', order)
+    names = {'link': series.resolved()[0], 'motor': motors}
+    for name, values in columns.items():
+        if name != 'time':
+            _refuse_huge(f'{path}: {series.topics.joint_states}', name, values,
+                         names[name.partition('_')[2]], columns['time'])
     columns['tau_motor'] = np.where([not name for name in motors],
                                     *series.states('effort', order))
     columns['command'] = series.commands(stamps, received, period)
@@ -90,6 +95,16 @@ def _columns(path, series, motors):
     columns['friction_hat'] = series.friction(stamps)
     columns['supply'] = series.supply(stamps, received)
     return int(stamps[0]), columns
+
+
+def _refuse_huge(where, name, values, names, time):
+    """Raise BagError for an angle or velocity (T, n) that no joint has; NaN and inf are none."""
+    bad = np.argwhere((np.abs(values) > LARGEST_STATE) & np.isfinite(values))
+    if len(bad):
+        k, j = bad[0]
+        what, unit = ('velocity', 'rad/s') if name.startswith('d') else ('position', 'rad')
+        raise BagError(f'{where} has {what} {values[k, j]:g} {unit} for {names[j]!r} at '
+                       f'{time[k]:.3f} s; is it in counts? Leave that part out, or convert it')
 
 
 def _phase(path, topic, number, data):

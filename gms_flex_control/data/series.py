@@ -218,6 +218,9 @@ class Series:
                     f'{self._path}: topic {self.topics.joint_states!r} lacks joint {name!r} '
                     f'(has {", ".join(names)}); set the names that are there or record that side '
                     'as well')
+            if name and names.count(name) > 1:
+                raise BagError(f'{self._path}: topic {self.topics.joint_states!r} names {name!r} '
+                               'more than once; who publishes it?')
         return tuple(joints), tuple(motors)
 
     def note_others(self, joints, motors) -> None:

@@ -6,11 +6,11 @@
 from math import isnan
 from typing import NamedTuple
 
+from gms_flex_control.data.recording import LARGEST_STATE
 from gms_flex_control.errors import TrajectoryError
 from gms_flex_control.nodes.messages import (
     first_bad,
     JointsError,
-    LARGEST_STATE,
     NANOSECONDS,
     order_of,
     RefusedError,

@@ -13,6 +13,7 @@ from contextlib import suppress
 import math
 
 from gms_flex_control.data.cdr import phase_labels, SOURCE_LABEL, STAMP_LABEL
+from gms_flex_control.data.recording import LARGEST_STATE
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
@@ -21,8 +22,7 @@ NANOSECONDS = 1_000_000_000
 _LATEST = round(0.1 * NANOSECONDS)      # a state older than the last by less was overtaken
 _LARGEST_STAMP = 2 ** 63                # beyond what a message's own time can hold [ns]
 EFFORT, DERIVATIVE = 'effort', 'derivative'
-# Beyond these a number is a fault, though it is finite: 1e308 overflows in any law.
-LARGEST_STATE = 1e6        # [rad, rad/s]
+# Beyond these, too, a number is a fault, though it is finite: 1e308 overflows in any law.
 LARGEST_TORQUE = 1e9       # [N m]
 LARGEST_DERIVATIVE = 1e15  # of a reference, up to the fourth [rad/s^4]
 _PLURALS = {'position': 'positions', 'velocity': 'velocities'}

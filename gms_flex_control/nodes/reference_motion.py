@@ -174,6 +174,9 @@ class Motion:
         begin, now = here
         times = times + (stamp or begin)
         ahead = times > begin
+        if not stamp and not ahead.any():
+            raise RefusedError('all its points are at time_from_start 0, which leaves no time to '
+                               'go there')
         if not ahead.any():
             raise PastError(
                 f'it was over {(begin - int(times[-1])) / NANOSECONDS:.3g} s ago by the stamps '
