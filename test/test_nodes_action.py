@@ -89,3 +89,42 @@ def test_a_canceled_goal_comes_to_rest(arm):
     rows = arm.steps(SECOND)
     assert result(arm, handle)[0] == GoalStatus.STATUS_CANCELED
     assert np.all(rows[-1, 1:] == 0.0) and rows[-1, 0, 0] != 0.0
+
+
+@pytest.mark.parametrize(('names', 'positions', 'code', 'sentence'), [
+    (['joint1', 'elbow'], [0.1, 0.1], RESULT.INVALID_JOINTS, "lack 'joint2' (have joint1, elbow)"),
+    (['joint1', 'joint1'], [0.1, 0.1], RESULT.INVALID_JOINTS, "name 'joint1' more than once"),
+    (NAMES, [0.1, float('nan')], RESULT.INVALID_GOAL, 'hold nan'),
+    (NAMES, [0.1], RESULT.INVALID_GOAL, 'are 1 for 2 joints')])
+def test_a_goal_that_makes_no_sense_is_aborted_and_nothing_moves(
+        arm, names, positions, code, sentence):
+    handle = send(arm, point(1.0, positions), names=names)
+    status, found, text = result(arm, handle)
+    assert (status, found) == (GoalStatus.STATUS_ABORTED, code) and sentence in text
+    rows = arm.steps(20)
+    assert np.all(rows[:, 1:] == 0.0)
+
+
+def test_a_new_goal_takes_the_place_of_the_old_one(arm):
+    begun = count(arm)
+    old = send(arm, point(5.0, [0.3, 0.3]))
+    follows(arm, begun + 1)
+    arm.steps(SECOND // 4)
+    new = send(arm, point(0.5, [0.1, 0.2]))
+    follows(arm, begun + 2)
+    assert result(arm, old) == (GoalStatus.STATUS_ABORTED, RESULT.INVALID_GOAL,
+                                'a new goal replaces it')
+    rows = arm.steps(SECOND)
+    assert result(arm, new)[0] == GoalStatus.STATUS_SUCCEEDED
+    np.testing.assert_allclose(rows[-1, 0], [0.1, 0.2], atol=1e-9)
+
+
+def test_a_service_that_begins_another_motion_ends_the_goal(arm):
+    begun = count(arm)
+    handle = send(arm, point(5.0, [0.3, 0.3]))
+    follows(arm, begun + 1)
+    arm.steps(SECOND // 4)
+    assert arm.trigger('stop').success
+    arm.steps(SECOND)
+    assert result(arm, handle) == (GoalStatus.STATUS_ABORTED, RESULT.INVALID_GOAL,
+                                   'another motion has begun')
