@@ -27,9 +27,9 @@ USERS = (('without_ros', 'neither ROS nor a robot', '.'),
          ('with_a_robot', 'ROS and a robot', "'.[ros]'"))
 HEAD = """# How long does it take?
 
-`make newcomers` follows the tutorials in fresh clones with an empty home, on {cores} cores{cpu}
-with a package registry nearby. `ros2` was the stand-in of the tests (`test/ros2_stand_in.py`),
-which starts the real nodes; the robot was simulated. Seconds since the clone began:
+`make newcomers` follows the tutorials in fresh clones with an empty home, on {cores} cores with a
+package registry nearby, the real nodes started by `test/ros2_stand_in.py`, the robot simulated.
+Seconds since the clone began:
 
 | you have | installed | the longest command ends | the last ends |
 |---|---|---|---|
@@ -43,17 +43,10 @@ def main():
         print(title, flush=True)
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             rows.append(row(Path(folder), name, title, extras))
-    head = HEAD.format(cores=os.cpu_count(), cpu=processor())
+    head = HEAD.format(cores=os.cpu_count())
     write_text(PAGE, '\n'.join([head + rows[0], *rows[1:], '']))
     print(PAGE)
     return 0
-
-
-def processor():
-    """Return the name of the processor as words to be added; '' if it is not known."""
-    with open('/proc/cpuinfo', encoding='utf-8') as lines:
-        return next((f" ({line.split(':')[1].strip()})" for line in lines
-                     if line.startswith('model name')), '')
 
 
 class Watch:

@@ -68,8 +68,9 @@ def as_text(table):
 
 def as_markdown(table, numbers=_NUMBERS):
     """Return a table for a document; columns of ``numbers`` are aligned to the right."""
-    marks = ['--:' if k in numbers else '---' for k in range(len(table[0]))]
-    return '\n'.join(f'| {" | ".join(row)} |' for row in (table[0], marks, *table[1:]))
+    head, *rows = (f'| {" | ".join(row)} |' for row in table)
+    marks = ('--:' if k in numbers else '---' for k in range(len(table[0])))
+    return '\n'.join([head, f'|{"|".join(marks)}|', *rows])
 
 
 def remarks(outcomes):
