@@ -177,19 +177,19 @@ def try_case(case):
 def identified(case):
     """Return the true robot of a Case, and its Identification."""
     if case.motion == 'example':
-        robot, recorded = example()
+        robot, made = example()
         believed = robot
     else:
         robot = axis(case.seed)
         believed = replace(robot, friction=scaled_friction(robot.friction, 0.8))
-        recorded = noisy(recorded(case.motion, robot, believed, case.seed),
+        made = noisy(recorded(case.motion, robot, believed, case.seed),
                      case.noise * float(robot.friction.forward.static[0]), case.seed)
-    return robot, identify([recorded], believed, options=Options(blocks=BLOCKS[case.blocks]))
+    return robot, identify([made], believed, options=Options(blocks=BLOCKS[case.blocks]))
 
 
-def noisy(recorded, level, seed):
+def noisy(made, level, seed):
     """Return a recording with white noise on the torque that it recorded [N m]."""
-    recording, phases = recorded
+    recording, phases = made
     noise = np.random.default_rng([seed, 5]).standard_normal(recording.tau_motor.shape)
     return replace(recording, tau_motor=recording.tau_motor + level * noise), phases
 

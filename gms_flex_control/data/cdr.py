@@ -220,7 +220,12 @@ def _numbers(order, count, form):
 
 
 class _CdrReader:
-    """Read one CDR message from its start, either byte order; lengths are never believed."""
+    """
+    Read one CDR message from its start, either byte order; lengths are never believed.
+
+    rosbags 0.11 refuses a JointState whose velocities or efforts are empty as rclpy writes it,
+    for the bytes behind it.
+    """
 
     def __init__(self, data):
         if len(data) < 4 or data[0] != 0 or data[1] > 1:
