@@ -6,9 +6,10 @@
 from functools import partial
 import os
 import struct
+from types import SimpleNamespace
 
 from bridge_lab import ask
-from gms_flex_control.nodes import messages
+from gms_flex_control.nodes import health, messages
 from gms_flex_control.nodes.health import Health
 from gms_flex_control.nodes.topics import (
     all_waiting,
@@ -161,3 +162,25 @@ def test_arrays_are_read_as_they_are_whatever_came_before():
             message.layout.dim = [MultiArrayDimension(label=label, size=size, stride=1)
                                   for label in labels]
             assert read(serialize_message(message)) == message
+
+
+def test_endpoints_of_others_are_compared_where_their_number_changes_and_now_and_then(
+        monkeypatch):
+    """A comparison takes most of a sample at 1 kHz: not each second of a loop that runs."""
+    others, compared = [1], []
+    node = SimpleNamespace(
+        create_publisher=lambda *_: None, create_timer=lambda *_, **__: None, publishers=(),
+        subscriptions=[SimpleNamespace(topic_name='/joint_states')],
+        count_publishers=lambda _: others[0])
+    monkeypatch.setattr(health, 'mismatches', lambda _: compared.append(others[0]) or ())
+    monkeypatch.setattr(Health, 'publish', lambda self: setattr(self, '_said', self.status))
+    own = Health(node)
+
+    def reports(count):
+        for _ in range(10 * count):
+            own._look()
+        return compared
+    assert reports(3) == [1]
+    others[0] = 2
+    assert reports(3) == [1, 2]
+    assert reports(10) == [1, 2, 2]

@@ -19,6 +19,7 @@ from rclpy.time import Time
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _LOOK_PERIOD = 0.1   # a change is published within this [s]
 _LOOKS_PER_REPORT = 10
+_REPORTS_PER_COMPARISON = 10  # where as many endpoints are there as before
 _WARN_PERIOD = 5.0   # of warnings of one kind [s]
 _SYSTEM = Clock()
 _COMMON = ('rosout', 'parameter_events')
@@ -56,6 +57,7 @@ class Health:
         self._state = (OK, 'starting')
         self._warned = {}    # kind of warning: when it was logged last [s]
         self._said, self._looks, self._mismatches = None, 0, ()
+        self._counted, self._reports = None, 0  # endpoints of others, when last compared
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # steady: the timers of ROS time stand still with /clock
         self._timer = node.create_timer(_LOOK_PERIOD, self.shield(self._look),
@@ -153,7 +155,11 @@ class Health:
     def _look(self):
         self._looks += 1
         if self._looks % _LOOKS_PER_REPORT == 0:
-            self._compare_endpoints()
+            counted, self._reports = _endpoints_of_others(self._node), self._reports + 1
+            # to compare takes most of a sample at 1 kHz
+            if counted != self._counted or self._reports % _REPORTS_PER_COMPARISON == 0:
+                self._counted = counted
+                self._compare_endpoints()
             self.publish()
         elif self.status != self._said:
             self.publish()
@@ -176,6 +182,12 @@ class Health:
         message = DiagnosticArray(status=[status])
         message.header.stamp = now(self._node).to_msg()
         self._publisher.publish(message)
+
+
+def _endpoints_of_others(node):
+    """Return how many are at the other end of each endpoint of a node."""
+    return (*(node.count_publishers(own.topic_name) for own in node.subscriptions),
+            *(node.count_subscribers(own.topic_name) for own in node.publishers))
 
 
 def mismatches(node) -> Iterator:

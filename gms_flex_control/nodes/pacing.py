@@ -14,7 +14,8 @@ from gms_flex_control.nodes.messages import NANOSECONDS
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-_SWITCH = 1e-4           # for so long a callback may delay a state that is due [s]
+_SWITCH = 3e-5           # for so long a callback may delay a state that is due [s]
+_UNDISTURBED = 5e-3      # and for so long a state that is due may delay a callback [s]
 # where each state of lockstep is answered at once, in this process:
 _CALLBACKS_PERIOD = 1e-2  # between looks at callbacks where nobody else listens [s]
 _SHORTEST_SAMPLE = 4e-4   # where somebody does: a recorder keeps up with that [s]
@@ -65,8 +66,11 @@ class Paced:
             if not ahead:
                 scheduling.sleep_until(deadline)
                 self._simulate()
+            # who asks for the interpreter now gets it once the state has left
+            sys.setswitchinterval(_UNDISTURBED)
             with self._lock:
                 arm.end_sample(deadline)
+            sys.setswitchinterval(_SWITCH)
         if self.missed:
             self._node.get_logger().info(
                 f'{self.missed} of {arm.ticks} samples had no fresh command')

@@ -76,8 +76,8 @@ class _Arm:
         """Publish the state there is, ready before the ``deadline`` at which it leaves [ns]."""
         message = self._writer.write(self._plant.measured, self._plant.applied, self.stamp)
         while time.monotonic_ns() < deadline:
-            # a sleep would end too late, and what it finds would be cold; who waits for the lock
-            # gets the interpreter no sooner, see _SWITCH and _READY in pacing.py
+            # a sleep would end too late, and what it finds would be cold; nobody else gets the
+            # interpreter meanwhile, see _UNDISTURBED in pacing.py
             pass
         self.outlet.publish(message)
 
