@@ -6,12 +6,12 @@
 from dataclasses import replace
 from functools import cache
 
+from bench import coverage
 from bench.identification_simulated import simulate_identification
 from core_runs import padded
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import (
     EncoderParams,
     FrictionParams,
@@ -20,18 +20,11 @@ from gms_flex_control.params.robot import (
 )
 import numpy as np
 
-JOINT = 'joint1'
+JOINT = coverage.JOINT
 YIELDS = np.array([0.15, 4.4e-3, 1.3e-3, 4.4e-4])  # rad; the first slips in sliding only
 STATIC = 0.5 * (0.10697 + 0.09470)  # N m, mean of both directions
-PLAN = {
-    'speeds': 6, 'repeats': 1, 'dwell_time': 1.0, 'counts': 12.0, 'rest_time': 0.1,
-    'torque_rate': 0.5, 'break_away_repeats': 1, 'presliding_levels': (0.45, 0.75),
-    'presliding_places': 1, 'sliding_speeds': (1.0, 3.0), 'sliding_duration': 5.0,
-    f'{JOINT}.lower': -1.6, f'{JOINT}.upper': 1.6, f'{JOINT}.velocity': 2.5,
-    f'{JOINT}.acceleration': 6.0}
-GAINS = ControllerParams(
-    compensation='gms', kd_link=[0.8], lambda_link=[3.0], kd_motor=[0.22], lambda_motor=[40.0],
-    observer_gain=[1.0], sign_slope=[50.0], filter_bandwidth=[100.0], torque_limit=[2.0])
+PLAN = coverage.PLAN | {'speeds': 6, 'dwell_time': 1.0, 'sliding_duration': 5.0}
+GAINS = coverage.GAINS
 
 
 def axis(*, rigid=False, yields=tuple(YIELDS)):
