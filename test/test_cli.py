@@ -76,7 +76,7 @@ def test_the_bare_command_is_the_help_with_verbs_by_group(its_tool, verbs, capsy
 
 @pytest.mark.parametrize(('typed', 'meant'), [
     ('idenify', "'identify'"), ('chek-gains', "'check-gains'"), ('xyz', 'known: import-csv, ')])
-def test_a_misspelt_verb_is_told_the_nearest(typed, meant, capsys):
+def test_a_misspelt_verb_is_answered_with_the_nearest(typed, meant, capsys):
     with pytest.raises(SystemExit) as ended:
         tool.main([typed, 'bag'])
     reported = capsys.readouterr().err
@@ -104,7 +104,7 @@ def test_warnings_of_numpy_stay_away_and_ours_are_sentences(monkeypatch, capsys)
     assert 'PYTHONWARNINGS' not in os.environ
 
 
-def test_an_older_python_is_told_what_is_needed():
+def test_an_older_python_is_answered_with_what_is_needed():
     done = subprocess.run(
         [sys.executable, '-c', "import sys; sys.version_info = (3, 10, 12, 'final', 0); "
          "sys.version = '3.10.12 (main)'; import gms_flex_control"],
@@ -199,7 +199,7 @@ def test_ctrl_c_ends_workers_in_silence(tmp_path):
     assert (process.returncode, reported) == (130, 'python -m bench score: interrupted\n')
 
 
-def test_the_shell_is_told_what_may_follow(tmp_path):
+def test_the_shell_knows_what_may_follow(tmp_path):
     pytest.importorskip('argcomplete')
     answer, typed = tmp_path / 'answer', 'gms_flex simulate --compensation lu'
     subprocess.run(TOOL, check=False, env=environment_of(

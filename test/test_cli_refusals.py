@@ -90,7 +90,7 @@ OPTIONS = [
     ('faults --priority 100', '--priority 100: expected 1 to 99')]
 
 
-def told_of(words, folder, capsys):
+def printed_of(words, folder, capsys):
     """Run words in which {places} stand; return what is said, that it is all there is checked."""
     places = {'missing': folder / 'missing', 'dir': folder / 'out', 'file': folder / 'file',
               'folder': folder / 'folder', 'empty': folder / 'empty.mcap',
@@ -116,13 +116,13 @@ def test_every_verb_is_tested():
 @pytest.mark.parametrize('verb', [*BAGS, *WRONG])
 def test_bad_input_of_a_verb_is_said_in_one_sentence(verb, tmp_path, capsys):
     words = WRONG[verb] if verb in WRONG else f'{{missing}} {BAGS[verb]}'
-    told_of(f'{verb} {words}', tmp_path, capsys)
+    printed_of(f'{verb} {words}', tmp_path, capsys)
 
 
 @pytest.mark.parametrize(('words', 'sentence'), OPTIONS)
 def test_what_is_wrong_with_an_option_is_said(words, sentence, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    reported, places = told_of(words, tmp_path, capsys)
+    reported, places = printed_of(words, tmp_path, capsys)
     assert sentence.format(**places) in reported
 
 
@@ -131,4 +131,4 @@ def test_what_is_wrong_with_an_option_is_said(words, sentence, tmp_path, capsys,
     'demo-identify --out {dir}', 'demo-discrepancy --out {dir}', 'demo-next --out {dir}'])
 def test_without_ros_the_extra_is_named(words, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, 'rclpy', None)  # importing it then fails
-    assert "'.[ros]'" in told_of(words, tmp_path, capsys)[0]
+    assert "'.[ros]'" in printed_of(words, tmp_path, capsys)[0]

@@ -77,7 +77,7 @@ def test_holding_still_is_judged_after_settling_over_the_last_five_seconds():
     assert joint.hold_peak_to_peak == pytest.approx(3e-4)
 
 
-def test_a_loop_that_did_not_keep_up_is_told():
+def test_a_loop_that_did_not_keep_up_is_reported():
     """Every second sample unanswered, those before the controller came aside; and no commands."""
     command = np.zeros((1000, 2))
     command[:200] = command[201::2] = np.nan

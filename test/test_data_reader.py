@@ -141,7 +141,7 @@ def test_zstd_bags_read_the_same(tmp_path, storage, mode, with_metadata):
     np.testing.assert_array_equal(back.command, original.command)
 
 
-def test_joints_are_told_by_name_whatever_their_order(tmp_path):
+def test_joints_are_found_by_name_whatever_their_order(tmp_path):
     orders = [('b_motor', 'a', 'b'), ('a', 'b', 'b_motor'), ('b', 'b_motor', 'a')]
     path = write_bag(tmp_path / 'bag', [state(k, orders[k % 3]) for k in range(50)])
     k = np.arange(50.0)

@@ -68,7 +68,7 @@ def test_the_first_message_that_cannot_be_read_is_named_across_blocks():
         table.take('values')
 
 
-def test_rows_tell_the_message_where_others_are_left_out():
+def test_rows_name_the_message_where_others_are_left_out():
     table = JointTable(('a',), ('effort',))
     for k in range(0, 40, 4):
         names = [('a', 'b') if j % 3 else ('c',) for j in range(k, k + 4)]

@@ -329,7 +329,7 @@ def swings(robot, gains):
         [0.3, 0.3], [4.0, 5.0], ramp_time=2.0))
 
 
-def test_what_is_foreseen_of_a_motion_is_what_its_recording_tells(robot, gains):
+def test_what_is_foreseen_of_a_motion_is_what_its_recording_shows(robot, gains):
     """A payload makes accelerations, and so encoder noise, weigh more: that is no evidence."""
     laden = replace(robot, effects=(
         EffectSpec(name='tip_payload', joint='arm', values=(0.03,)),))

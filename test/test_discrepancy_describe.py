@@ -20,7 +20,7 @@ import pytest
 
 @pytest.mark.parametrize(('size', 'said'), [(0.0123, '12.3 mN m'), (4.2, '4.2 N m'),
                                             (4630.0, '4.63 kN m'), (np.nan, '- mN m')])
-def test_torques_are_told_in_units_that_suit(size, said):
+def test_torques_are_reported_in_units_that_suit(size, said):
     scale = torque_scale([size, 0.001])
     assert f'{scale.text(size)} {scale.unit}' == said
 

@@ -81,12 +81,12 @@ def test_a_fault_of_the_recording_held_out_counts_too(case):
 
 
 @pytest.mark.parametrize('name', ['clipped hard', 'bursts repeated', '10 % dropped'])
-def test_a_fault_with_which_one_can_go_on_is_told(name):
+def test_a_fault_with_which_one_can_go_on_is_reported(name):
     found = faults_of([wrong(name)[0]], wrong(name)[1])
     assert {(one.kind, one.severity) for one in found} == {(ALL[name][0], 'warn')}
 
 
-def test_one_goes_on_with_faults_that_are_told(case):
+def test_one_goes_on_with_faults_that_are_reported(case):
     """But a command is all that was asked for, clipped or not, and is not called missing."""
     recording = clipped(case.recording, 0.7)
     limit = np.abs(recording.tau_motor).max(axis=0)
@@ -113,7 +113,7 @@ def test_joints_are_known_by_name_whatever_their_order(case):
 @pytest.mark.parametrize(('change', 'word'), [
     (lambda r: replace(r, time=np.concatenate([[0.0], 8.5e8 + r.time[1:]])), 'missing in'),
     (lambda r: taken(r, np.arange(3)), '3 samples')])
-def test_faults_of_time_are_told_where_links_are_not_seen(case, change, word):
+def test_faults_of_time_are_reported_where_links_are_not_seen(case, change, word):
     """Nothing is computed along such a time, though link angles would have to be."""
     blind = replace(case.recording, q_link=np.nan * case.recording.q_link,
                     dq_link=np.nan * case.recording.dq_link)

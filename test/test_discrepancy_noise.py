@@ -20,7 +20,7 @@ import pytest
 SHORT = 14.0  # [s]
 
 
-def test_of_drives_without_noise_next_to_none_is_told():
+def test_of_drives_without_noise_next_to_none_is_reported():
     """Less than half a percent of F_s, which is a twelfth of what noisy drives have."""
     case = make_case('clean', 4, duration=SHORT)
     likelihood = likelihood_of(case)

@@ -53,7 +53,7 @@ def test_rows_of_torques_in_one_equation_are_those_of_residuals_without_any_othe
             whitening.rows_of(one) for one in residuals], axis=-1), rtol=0, atol=1e-12)
 
 
-def test_where_an_equation_tells_nothing_its_residual_counts_nothing():
+def test_where_an_equation_says_nothing_its_residual_counts_nothing():
     """A torque of a thousand times the noise while a link stands changes no row elsewhere."""
     noise = np.random.default_rng(2).standard_normal((7, 10000, 1))
     known = np.ones(10000, dtype=bool)

@@ -130,7 +130,7 @@ def test_odd_input_ends_as_a_sentence_or_a_verdict(change):
                     assert result.verdict != COMPLETE
 
 
-def test_a_known_effect_whose_value_is_wrong_is_told():
+def test_a_known_effect_whose_value_is_wrong_is_reported():
     case = make_case('single', 1, duration=10.0)
     hidden, = case.truth.effects
     halved = replace(hidden, values=(0.5 * hidden.values[0],))
@@ -215,7 +215,7 @@ def test_a_wave_that_hardly_turns_is_none():
     assert result.unexplained.joint == hidden.joint
 
 
-def test_torque_constant_and_inertia_are_told_by_the_spring():
+def test_torque_constant_and_inertia_are_separated_by_the_spring():
     """Both scale the motor's side; the torque of the spring is known to a few percent."""
     rng, time = np.random.default_rng(2), np.arange(6000) * 2e-3
     robot, gains = draw_robot(rng, 'stiff')

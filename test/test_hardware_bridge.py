@@ -100,7 +100,7 @@ def test_a_bridge_that_stood_still_does_not_obey_what_waited_for_it():
 
 
 @pytest.mark.parametrize(('asked', 'reported'), [(1.0, True), (0.015, False)])
-def test_a_robot_that_swings_because_its_torque_comes_late_is_told_of_it(asked, reported):
+def test_a_robot_that_swings_because_its_torque_comes_late_is_named(asked, reported):
     """It is asked to turn round every 10 ms, and may rise by 0.02 N m in a sample of 2."""
     run = Run().enabled()
     for _ in range(100):
@@ -113,7 +113,7 @@ def test_a_robot_that_swings_because_its_torque_comes_late_is_told_of_it(asked, 
     assert (run.bridge.counters['commands held back by torque_rate'] > 100) == reported
 
 
-def test_states_whose_command_comes_after_the_next_one_are_counted_and_told_in_a_fault():
+def test_states_whose_command_comes_after_the_next_one_are_counted_and_named_in_a_fault():
     run = Run().enabled()
     assert run.bridge.controller.lateness.share == 0.0
     for _ in range(3000):  # every second state is not answered
@@ -196,7 +196,7 @@ def test_answers_to_states_of_long_ago_or_never_do_not_act():
     assert 'FAULT: no command' in run.said
 
 
-def test_two_controllers_are_told_at_once_and_a_restarted_one_is_not_two():
+def test_two_controllers_are_reported_at_once_and_a_restarted_one_is_not_two():
     run = Run().enabled()
     run.source = '/c#2'
     assert run.tick(1) == [0.0]
@@ -207,7 +207,7 @@ def test_two_controllers_are_told_at_once_and_a_restarted_one_is_not_two():
     assert watch.hear('/c#2', 120 * MS) == ''
 
 
-def test_two_sources_are_told_until_one_of_them_or_nobody_sends_any_more():
+def test_two_sources_are_reported_until_one_of_them_or_nobody_sends_any_more():
     watch = SourceWatch('nodes send references')
     assert watch.hear('/a#1', 0) == watch.conflict(0) == ''
     both = watch.hear('', 40 * MS)

@@ -67,7 +67,7 @@ def test_motion_one_way_has_no_constant_torque_beside_friction():
     assert fit.friction == pytest.approx(0.06 + 0.01 * np.median(rate), rel=0.1)
 
 
-def test_a_torque_that_never_changes_tells_no_inertia():
+def test_a_torque_that_never_changes_shows_no_inertia():
     recorded = pendulum()
     with pytest.raises(IdentificationError, match='never changes'):
         fit_axis(rows_of([replace(recorded, tau_motor=np.full_like(recorded.tau_motor, 0.3))],

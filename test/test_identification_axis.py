@@ -182,7 +182,7 @@ def test_a_block_that_never_slips_is_no_friction():
     np.testing.assert_allclose(np.sort(found.stiffness[0]), stiffness, rtol=0.05)
 
 
-def test_two_bags_tell_what_one_tells():
+def test_two_bags_determine_what_one_does():
     """The same experiment cut in two where a phase begins, near its middle."""
     recorded = experiment(rigid=True)
     starts = np.array([phase.time_ns for phase in recorded[1]]) * 1e-9

@@ -112,7 +112,7 @@ def test_one_direction_is_named_with_the_parameters_it_costs(name):
     assert 'friction.joint1.backward is not identifiable' in found[0].text
 
 
-def test_recordings_of_other_joint_order_are_told_by_name():
+def test_recordings_of_other_joint_order_are_found_by_name():
     recording, robot = healthy('unlike')
     turned = replace(with_columns(recording, [1, 0]), joints=recording.joints[::-1],
                      reference=recording.reference[:, :, ::-1])
@@ -157,7 +157,7 @@ def test_a_drive_that_gives_but_a_part_of_what_is_asked_is_no_fault_of_the_data(
 
 
 @pytest.mark.parametrize(('share', 'severity'), [(1 / 20, 'warn'), (1 / 500, 'refuse')])
-def test_where_friction_is_nearly_all_an_inertia_hardly_tells_the_scale(share, severity):
+def test_where_friction_is_nearly_all_an_inertia_hardly_determines_the_scale(share, severity):
     """One that was not identifiable is no reason to refuse the same machine."""
     recorded = pendulum(inertia=8e-4, pull=0.0)
     robot = rigid_joints(recorded.joints)
@@ -270,7 +270,7 @@ def sentences(kind, joint):
 
 
 @pytest.mark.parametrize(('joint', 'other'), [(0, 'joint2'), (1, 'joint1')])
-def test_links_of_a_chain_taken_for_single_axes_are_told_of(joint, other):
+def test_links_of_a_chain_taken_for_single_axes_are_reported(joint, other):
     """The other link's acceleration accounts for what the model of an axis leaves."""
     sentence, = sentences('planar', joint)
     assert f'with the motion of {other}' in sentence and 'act on each other' in sentence

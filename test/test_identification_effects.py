@@ -92,7 +92,7 @@ def test_a_late_encoder_is_cleared_where_its_motor_is_quick():
     ('coulomb_error', (0.1,)), ('stribeck_error', (0.1,)), ('presliding_error', (0.1, 0.0)),
     ('viscous_error', (0.1,)), ('position_friction', (0.1, 10.0, 0.0)),
     ('base_flexibility', (5.0, 1.0, 0.05))])
-def test_an_effect_that_cannot_be_told_apart_is_refused_by_name(name, values):
+def test_an_effect_that_is_indistinguishable_is_refused_by_name(name, values):
     """What changes the friction itself would be counted twice; with force it is left out."""
     robot = replace(axis(), effects=(EffectSpec(name=name, joint=JOINT, values=values),))
     with pytest.raises(IdentificationError, match=f'effects.{JOINT}.{name}.* take it out'):

@@ -89,7 +89,7 @@ def test_what_another_model_has_elsewhere_gets_no_interval_or_a_wider_one():
     assert found['backward.viscous'] == alone['backward.viscous']
 
 
-def test_numbers_of_one_curve_are_told_together():
+def test_numbers_of_one_curve_are_reported_together():
     """Without F_c nothing of a direction is known, without v_s no F_s; without both v_s no C."""
     found = estimates(PAPER, reach=0.1, travel=2.0, rivals=[rival(coulomb=1.5)])
     assert all(found[f'forward.{name}'].flags for name in ('static', 'velocity', 'viscous'))
@@ -123,7 +123,7 @@ def test_blocks_that_draw_the_fit_to_themselves_are_as_uncertain_as_the_others()
     assert variance[1].mean() == pytest.approx(1.0, abs=0.03)
 
 
-def test_numbers_that_the_data_hardly_tell_apart_are_vague_whatever_rounding_does():
+def test_numbers_that_the_data_hardly_separate_are_vague_whatever_rounding_does():
     """Six numbers that three combinations determine: no variance is negative or nothing."""
     for seed in range(200):
         rng = np.random.default_rng(seed)

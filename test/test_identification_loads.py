@@ -62,7 +62,7 @@ def found(hidden):
     return fit_base_parameters(hidden[2], hidden[0])
 
 
-def test_a_known_load_tells_the_scale_of_every_torque_that_it_loads(found):
+def test_a_known_load_determines_the_scale_of_every_torque_that_it_loads(found):
     """Six scales 3 to 8 % off are found within 0.5 %."""
     differences = found.differences
     np.testing.assert_allclose(differences.scale, SCALE, rtol=0.005)
@@ -92,7 +92,7 @@ def test_friction_that_grows_with_the_load_is_found_where_it_does(found):
     assert differences.loaded[1] == pytest.approx(PER_LOAD[1], rel=0.1)
 
 
-def test_one_recording_cannot_tell_the_scale(hidden):
+def test_one_recording_cannot_determine_the_scale(hidden):
     robot, _, (_, heavy) = hidden
     differences = fit_base_parameters([heavy], robot).differences
     assert not differences.prior_sd.any()
@@ -114,7 +114,7 @@ def test_links_that_are_relied_on_leave_the_differences(hidden):
     assert 'friction.joint2.at_warm' in names
 
 
-def test_currents_of_one_known_constant_tell_the_others(hidden):
+def test_currents_of_one_known_constant_determine_the_others(hidden):
     """Links that several joints move relate their torques; joint 2 is known."""
     robot, _, (bare, _) = hidden
     constant = np.array([40.0, 1.0, 25.0, 12.0, 9.0, 7.0])  # N m per ampere
@@ -141,7 +141,7 @@ def test_unknown_constants_of_all_joints_have_the_scale_of_the_masses_described(
     assert np.all(np.abs(off[sure]) < 0.03 * np.abs(found.values[sure]))
 
 
-def test_a_load_that_was_weighed_tells_constants_and_its_centre_of_mass(hidden):
+def test_a_load_that_was_weighed_determines_constants_and_its_centre_of_mass(hidden):
     """Six unknown constants within 2 %, the centre of mass within 5 mm."""
     robot, _, (bare, heavy) = hidden
     constant = np.array([40.0, 50.0, 25.0, 12.0, 9.0, 7.0])
@@ -228,7 +228,7 @@ def test_a_load_that_is_unknown_is_found_beside_a_recording_without_one(hidden):
         fit_base_parameters(recordings[1:], robot)
 
 
-def test_known_links_tell_an_unknown_load_of_one_recording(hidden):
+def test_known_links_determine_an_unknown_load_of_one_recording(hidden):
     robot, arm, (bare, heavy) = hidden
     heavy = replace(heavy, tau_motor=(heavy.tau_motor - OFFSET) / SCALE,
                     q_link=heavy.q_link - ZERO)
@@ -241,7 +241,7 @@ def test_known_links_tell_an_unknown_load_of_one_recording(hidden):
         fit_differences([none], replace(robot, arm=arm))
 
 
-def test_friction_of_a_motor_that_two_joints_turn_is_told_from_theirs(hidden):
+def test_friction_of_a_motor_that_two_joints_turn_is_separated_from_theirs(hidden):
     """Coupled wrist: within 3 %; base parameters stay, which a motor taken as its own spoils."""
     robot, arm, (bare, _) = hidden
     bare = replace(bare, tau_motor=bare.tau_motor / SCALE, operation=Operation())

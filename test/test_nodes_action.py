@@ -66,7 +66,7 @@ def count(arm):
     return arm.started.printed().count(' points of a joint trajectory')
 
 
-def test_a_goal_is_followed_told_of_and_reached(arm):
+def test_a_goal_is_followed_reported_and_reached(arm):
     begun = count(arm)
     handle = send(arm, point(0.5, [0.5, -0.1]), path=0.1, at_end=0.01)
     follows(arm, begun + 1)

@@ -170,7 +170,7 @@ def described(loop, node, *names):
     return loop.call(kind, f'{node}/describe_parameters', kind.Request(names=names)).descriptors
 
 
-def test_descriptors_tell_meaning_unit_and_range(loop):
+def test_descriptors_have_meaning_unit_and_range(loop):
     gain, mode, mass, every = described(
         loop, CONTROLLER, 'gains.joint1.kd_link', 'compensation', 'arm.joint1.mass',
         'state_every')

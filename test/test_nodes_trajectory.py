@@ -82,7 +82,7 @@ def test_services_before_the_first_joint_state_say_so(moving):
         assert not response.success and response.message == 'no joint state has come yet'
 
 
-def test_it_holds_the_robot_where_it_is_until_it_is_told_to_start(moving):
+def test_it_holds_the_robot_where_it_is_until_it_is_to_start(moving):
     rows = moving.steps(5, START)
     assert np.all(rows[:, 0] == START) and np.all(rows[:, 1:] == 0.0)
 
@@ -211,7 +211,7 @@ def test_a_torque_ends_where_the_joint_has_moved_far_enough(moving):
     assert moving.set_parameters('/trajectory', trajectory__joint1__travel=0).successful
 
 
-def test_release_asks_for_zero_torque_at_once_and_until_told_otherwise(moving):
+def test_release_asks_for_zero_torque_at_once_and_until_another_request(moving):
     assert moving.set_parameters('/trajectory', trajectory__type='sinusoid').successful
     assert moving.trigger('start').success
     moving.steps(SECOND // 4)

@@ -39,7 +39,7 @@ def test_binned_means_lie_on_the_curve_within_their_bands():
     np.testing.assert_allclose(curve.half[away], (1.96 / np.sqrt(0.4 * count))[away], rtol=0.35)
 
 
-def test_what_a_residual_follows_is_told_by_its_power():
+def test_what_a_residual_follows_is_found_by_its_power():
     x, y = sampled()
     assert follows(x, np.ones_like(x)) > 0.999
     assert follows(x, np.sign(x)) > 0.98 > 0.6 > follows(x, y) > 0.4  # half of it is noise
@@ -58,7 +58,7 @@ def moving_joint(count=12_000):
             values['direction'] + rng.normal(size=count))[:, None], rng.normal(size=(count, 1))
 
 
-def test_what_a_residual_depends_on_is_told_beside_what_is_chance():
+def test_what_a_residual_depends_on_is_shown_beside_what_is_chance():
     along, before, chance = moving_joint()
     found = {one.variable: one for one in over_all(along, before, chance, chance)}
     reported = found['direction']

@@ -73,7 +73,7 @@ def test_pictures_show_what_was_fitted():
     assert curve.get_xscale() == 'log' and len(curve.collections) == 1
 
 
-def test_a_joint_that_tells_little_is_reported_all_the_same(tmp_path):
+def test_a_joint_that_shows_little_is_reported_all_the_same(tmp_path):
     made = identification(1)
     none = np.zeros(0)
     result = replace(

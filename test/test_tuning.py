@@ -97,7 +97,7 @@ def test_at_the_delay_margin_the_simulated_robot_begins_to_swing(flexible):
     assert swings[0] < 0.5 and swings[1] > 2.0
 
 
-def test_encoder_noise_causes_the_torque_that_is_told(flexible):
+def test_encoder_noise_causes_the_torque_that_is_reported(flexible):
     noisy = replace(flexible, encoder=EncoderParams(noise=1e-4, velocity_cutoff=50.0))
     loop = linear_loop(noisy, noisy, gains_of(), Timing(2e-3, 0.0), STILL)
     reported = margins.jitter(loop, noisy.encoder)
@@ -106,7 +106,7 @@ def test_encoder_noise_causes_the_torque_that_is_told(flexible):
     assert reported.angle[0] == pytest.approx(run.true[1000:, 0].std(), rel=0.1)
 
 
-def test_a_constant_torque_moves_the_link_as_far_as_is_told(flexible):
+def test_a_constant_torque_moves_the_link_as_far_as_is_reported(flexible):
     push = EffectSpec(name='constant_link_torque', joint='axis', values=(0.02,))
     run = closed_loop.run(replace(flexible, effects=(push,)), flexible, gains_of(),
                           builders.hold(STILL), duration=6.0)
@@ -220,7 +220,7 @@ def test_tune_writes_what_the_controller_loads(tmp_path, axis_file, capsys):
     assert (tmp_path / 'a' / 'tuning.png').stat().st_size > 10_000
 
 
-def test_tune_tells_the_error_to_expect_and_that_the_bound_is_none(tmp_path, axis_file, capsys):
+def test_tune_prints_the_error_to_expect_and_that_the_bound_is_none(tmp_path, axis_file, capsys):
     """The larger of both motions, by simulation, beside what friction holds; a linear axis."""
     kind = tmp_path / 'axes.yaml'
     files.save_values({'arm.axes': 'linear'}, kind)
@@ -244,7 +244,7 @@ def test_tune_says_no_where_nothing_fits(tmp_path, axis_file, capsys):
     assert not (tmp_path / 'no' / 'controller.yaml').exists()
 
 
-def test_a_torque_limit_that_is_met_is_told_by_compensation(tmp_path, capsys):
+def test_a_torque_limit_that_is_met_is_reported_by_compensation(tmp_path, capsys):
     assert main(['tune', '--torque-limit', '0.1', '--bandwidth', '4', '--out',
                  str(tmp_path)]) == 1
     reported = [line.partition(';')[0].partition('torque limit for ')

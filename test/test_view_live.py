@@ -102,7 +102,7 @@ def rows_of(lab, session):
     return dict(zip(names, data.T, strict=True))
 
 
-def test_joints_of_another_robot_are_told_by_name_and_drawn_alike(lab):
+def test_joints_of_another_robot_are_found_by_name_and_drawn_alike(lab):
     session = lab.until(lambda: known(lab))
     assert session['title'] == 'running loop in /left'
     assert session['scene']['joints'] == ['gripper', 'axis_a', 'axis_b']

@@ -55,7 +55,7 @@ def run(args):
     """Try what is not in the journal yet, report; return 1 if a figure is missed, else 0."""
     jobs, journal = jobs_asked(args), Journal(args.out, fingerprint())
     if not args.json:
-        tell_beginning(jobs, journal, args)
+        print_beginning(jobs, journal, args)
     try_missing(jobs, journal, args)
     outcomes = [journal.outcomes[job.key] for job in jobs if job.key in journal.outcomes]
     text, values = report(outcomes), values_of(outcomes)
@@ -84,7 +84,7 @@ def jobs_asked(args):
     return [job for job in jobs if job.can_be_seen]
 
 
-def tell_beginning(jobs, journal, args):
+def print_beginning(jobs, journal, args):
     """Say beside the results how much there is to do, and what is left out."""
     known = sum(job.key in journal.outcomes for job in jobs)
     print(f'{len(jobs)} hidden robots, {known} of them in {journal.path}', file=sys.stderr)

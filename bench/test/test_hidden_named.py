@@ -37,7 +37,7 @@ def test_a_clean_robot_whose_links_are_not_seen_is_complete():
 
 
 @pytest.mark.parametrize(('seed', 'effect'), [(86, 'input_delay'), (85, 'actuator_lag')])
-def test_a_delay_and_a_lag_are_told_apart_in_a_closed_loop(seed, effect):
+def test_a_delay_and_a_lag_are_separated_in_a_closed_loop(seed, effect):
     """By residuals below 20 Hz, the delay of the first would be a lag of the same time."""
     case = make_case('single', seed, duration=25.0)
     hidden, = case.truth.effects

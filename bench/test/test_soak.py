@@ -37,7 +37,7 @@ def test_a_soak_counts_each_command_and_sees_each_process(tmp_path):
     assert 0.9 / soak.RATE < windows[-1].p99 <= windows[-1].longest
 
 
-def test_a_soak_tells_growth_and_a_trend_from_noise():
+def test_a_soak_separates_growth_and_a_trend_from_noise():
     steady = [window(3, 100e6 + 1e4 * (k % 3)) for k in range(30)]
     assert soak.judged(steady) == []
     assert 'no growth of memory' in soak.table(steady)

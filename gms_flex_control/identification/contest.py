@@ -125,12 +125,12 @@ class _Contest:
         self._objective_of = lambda chosen: Objective(bundle, joint, thetas, chosen)
         self._objective = Objective(bundle, joint, thetas)
         first, *others = _trials(bundle)
-        self.trials = (first, *filter(None, map(self._that_tell, others)))
+        self.trials = (first, *filter(None, map(self._that_judge, others)))
         self.first = first[0]
         self.whole = _Look(everything, self.first.out)
         self.simple, self.by_torque = cache(self._simple), cache(self._by_torque)
 
-    def _that_tell(self, looks):
+    def _that_judge(self, looks):
         """Return the looks of a trial whose both parts have motion of the joint."""
         return tuple(look for look in looks
                      if self._moves(look.fitted) and self._moves(look.out))

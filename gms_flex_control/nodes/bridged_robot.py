@@ -146,7 +146,7 @@ class BridgedRobot(SupervisedRobot):
         if not self._supervisor.active:
             self._bridge.take_torque_away()
             self._send()
-        self._health.tell_state(self._supervisor)
+        self._health.report_state(self._supervisor)
         self._health.publish()
 
     # requests, from any thread ---------------------------------------------------------------

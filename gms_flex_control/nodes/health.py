@@ -67,7 +67,7 @@ class Health:
         """Say how the node is; cheap enough for every tick."""
         self._state = (level, sentence)
 
-    def tell_state(self, supervisor, severity=LoggingSeverity.ERROR) -> None:
+    def report_state(self, supervisor, severity=LoggingSeverity.ERROR) -> None:
         """Say and log the state of a Supervisor; ``severity`` is that of a fault in the log."""
         fault = supervisor.state == FAULT
         sentence = f'{supervisor.state}: {supervisor.reason}'

@@ -92,7 +92,7 @@ class Paced:
     def _acting(self):
         """Return the torque for the sample that ends now; zero if the last command is stale."""
         (torque, answered, arrived), stamp = self._robot.command, self._arm.stamp
-        self._tell_late(answered)
+        self._report_late(answered)
         if answered == stamp:
             return torque
         self.missed += 1
@@ -102,7 +102,7 @@ class Paced:
             fresh = 0 < stamp - answered <= self._timeout
         return torque if fresh else self._arm.zero
 
-    def _tell_late(self, answered):
+    def _report_late(self, answered):
         """Warn where too many samples end before the command that answers them has come."""
         if answered is None or not self._robot.active:  # plain commands answer no state
             self._lateness.restart()

@@ -191,7 +191,7 @@ class SimulatedRobot(SupervisedRobot):
         self._said = state
         if state[0] != 'FAULT' or self._supervisor.stopped:
             self._passing = False
-        self._health.tell_state(self._supervisor, LoggingSeverity.WARN)
+        self._health.report_state(self._supervisor, LoggingSeverity.WARN)
 
     def obstacle(self) -> str:
         """Return what stands against torque now (str)."""
