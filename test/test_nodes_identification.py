@@ -3,12 +3,31 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The identification node with real nodes over DDS: whole runs, and every way one can end."""
 
+from dataclasses import replace
+import re
 import warnings
 
 from bench.identification_simulated import read_identification_plan
 from gms_flex_control.data.reader import read_experiment
-from gms_flex_control.schema.files import load_controller, load_robot
-from node_harness import FILES, INT, interfaces, Lab, services, Trigger, write_parameters
+from gms_flex_control.design.determination import experiments_for
+from gms_flex_control.schema.files import (
+    load_controller,
+    load_limits,
+    load_robot,
+    save_robot,
+    save_values,
+)
+from node_harness import (
+    CONFIG,
+    FILES,
+    INT,
+    interfaces,
+    JOINTS,
+    Lab,
+    services,
+    Trigger,
+    write_parameters,
+)
 import numpy as np
 import pytest
 
@@ -43,7 +62,7 @@ class Experiment(Lab):
         super().__init__(folder)
         self.file = write_parameters(folder / 'short.yaml', SHORT)
         self.bag = folder / 'bag'
-        self._plant = changes
+        self._plant, self.believed = changes, FILES[0]
 
     @property
     def plan(self):
@@ -62,8 +81,8 @@ class Experiment(Lab):
     def identify(self, name='identification_node', **parameters):
         given = {'identification__fit': False} | {
             f'identification__{key}': value for key, value in parameters.items()}
-        return self.start(name, files=(*FILES, self.file), mode='lockstep',
-                          identification__bag=self.bag, **given)
+        return self.start(name, files=(self.believed, FILES[1], self.file),
+                          mode='lockstep', identification__bag=self.bag, **given)
 
     def until_step(self, process, words):
         """Wait until the node says that it begins a step with ``words`` in its name."""
@@ -95,6 +114,30 @@ def test_a_whole_experiment_is_recorded_with_its_phases(lab):
     assert lab.get('/cascade_controller', 'compensation') == 'gms'
     refused = lab.identify('identification_node.again')
     assert refused.wait() == 2 and 'has been recorded already' in refused.printed()
+
+
+def test_experiments_that_next_plans_find_what_was_believed_wrong_within_the_limits(lab):
+    """F_s of joint2 is believed 25 % too large; the torque that moves it says so."""
+    true, limits = load_robot(FILES[0]), load_limits([CONFIG / 'bridge.yaml'], JOINTS)
+    believed = replace(true, friction=replace(true.friction, **{side: replace(
+        getattr(true.friction, side), static=getattr(true.friction, side).static * [1.0, 1.25])
+        for side in ('forward', 'backward')}))
+    planned = experiments_for([('static', 'joint2')], [believed],
+                              load_controller(FILES[1], believed), limits)
+    save_robot(believed, lab.folder / 'believed.yaml')
+    save_values(planned.values | {'identification.break_away_repeats': 1},
+                lab.folder / 'identification.yaml', comment=planned.sentence())
+    lab.file, lab.believed = lab.folder / 'identification.yaml', lab.folder / 'believed.yaml'
+    node = lab.begin()
+    assert node.wait(bound=300.0) == 0, node.printed()
+    found = [float(torque) for torque in re.findall(
+        r'joint2 broke away at about (\S+) N m', node.printed())]
+    static = [getattr(true.friction, side).static[1] for side in ('forward', 'backward')]
+    assert len(found) >= 2
+    assert min(static) * 0.95 < min(found) <= max(found) < 1.1 * max(static)
+    recording, _ = read(lab.bag)
+    assert np.all((recording.q_link > limits.lower) & (recording.q_link < limits.upper))
+    assert np.all(np.nanmax(np.abs(recording.command), axis=0) <= limits.torque)
 
 
 def check_recording(lab):
