@@ -40,7 +40,8 @@ def atomic_path(path) -> Generator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        if error.filename is None or Path(error.filename) != temporary:
+        # one without a name is of the open file, such as that the disk is full
+        if error.filename is not None and Path(error.filename) != temporary:
             raise
         raise OSError(error.errno, f'cannot be written ({error.strerror})',
                       str(path)) from error

@@ -58,6 +58,8 @@ OPTIONS = [
         ('--set gains.joint1.kd_link', 'must have the form NAME=VALUE'),
         ('--set gains.joint1.kd_link=[1', "'[1' is not a YAML value"),
         ('--set gains.joint1.kd_link=-1', 'gains.joint1.kd_link must be'),
+        ('--set trajectory.joint1.amplitude=1.0e+300',
+         'trajectory.joint1.amplitude must be from -1e+06 to 1e+06 rad, got 1e+300'),
         ('--set rate=fast', "rate must be a number [Hz], got 'fast'"),
         ('--set rate=.nan', 'rate must be finite, got nan'),
         ('--robot {arm}', '--controller needs a file: gains of config/ are for joint1, joint2'),

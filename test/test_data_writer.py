@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Bags written here are read by the libraries of others, and carry the hashes of ROS."""
 
+import errno
 from importlib import import_module
 import json
 from pathlib import Path
@@ -12,6 +13,7 @@ import struct
 from gms_flex_control.data import cdr
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
+from gms_flex_control.file_io import atomic_path
 from mcap.reader import make_reader
 import numpy as np
 import pytest
@@ -163,3 +165,12 @@ def test_a_message_without_a_place_is_refused(tmp_path, topic, time, sentence):
     with BagWriter(tmp_path / 'bag', TYPES) as writer:
         with pytest.raises(BagError, match=re.escape(sentence)):
             writer.write(topic, time, b'')
+
+
+def test_a_full_disk_leaves_no_file_and_the_error_names_it(tmp_path):
+    """The system's error for an open file has no name."""
+    path = tmp_path / 'report.html'
+    with pytest.raises(OSError, match='No space left') as caught, atomic_path(path) as temporary:
+        temporary.write_text('half')
+        raise OSError(errno.ENOSPC, 'No space left on device')
+    assert caught.value.filename == str(path) and list(tmp_path.iterdir()) == []

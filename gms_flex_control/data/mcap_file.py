@@ -203,5 +203,5 @@ class McapFile(StorageFile):
                 data, at + 9)[4]:
             messages, _ = self._messages(data[head + 8:])
         self.notes.append(f'{self.label}: ends without its index after {self.found} messages '
-                          '(recorder killed, or file cut off)')
+                          '(still being written, recorder killed, or file cut off)')
         return messages

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag, namespace_of
 from gms_flex_control.data.conditions import conditions_of, with_conditions
-from gms_flex_control.data.recording import LARGEST_STATE, Phase, Recording, Topics
+from gms_flex_control.data.recording import Phase, Recording, Topics
 from gms_flex_control.data.series import names_of, Series
 from gms_flex_control.errors import BagError
+from gms_flex_control.params.key import LARGEST_STATE
 import numpy as np
 
 _LABELS = ('phase', 'joint', 'step')

@@ -10,8 +10,6 @@ from gms_flex_control.errors import BagError
 from gms_flex_control.params.arm import Body
 import numpy as np
 
-LARGEST_STATE = 1e6  # beyond it a number is a fault, though it is finite [rad, rad/s]
-
 
 class Phase(NamedTuple):
     """What an identification experiment was doing from a time on."""

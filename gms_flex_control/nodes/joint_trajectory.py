@@ -6,7 +6,6 @@
 from math import isnan
 from typing import NamedTuple
 
-from gms_flex_control.data.recording import LARGEST_STATE
 from gms_flex_control.errors import TrajectoryError
 from gms_flex_control.nodes.messages import (
     first_bad,
@@ -18,6 +17,7 @@ from gms_flex_control.nodes.messages import (
     to_nanoseconds,
 )
 from gms_flex_control.nodes.reference_motion import PastError
+from gms_flex_control.params.key import LARGEST_STATE
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.task import Future

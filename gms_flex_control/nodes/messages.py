@@ -13,7 +13,7 @@ from contextlib import suppress
 import math
 
 from gms_flex_control.data.cdr import phase_labels, SOURCE_LABEL, STAMP_LABEL
-from gms_flex_control.data.recording import LARGEST_STATE
+from gms_flex_control.params.key import LARGEST_STATE
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout

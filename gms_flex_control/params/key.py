@@ -13,6 +13,7 @@ import numpy as np
 
 REQUIRED = object()
 _NO_UNIT = '', '1'
+LARGEST_STATE = 1e6  # beyond it an angle or velocity is a fault, though finite [rad, rad/s]
 SMALLEST = 1e-12  # of what must be above zero
 _NAMES = {'double': 'a number', 'integer': 'a whole number', 'string': 'a text',
           'boolean': 'true or false', 'double_array': 'a list of numbers',

@@ -11,7 +11,7 @@ from gms_flex_control.hardware.limits import Limits, UNLIMITED
 from gms_flex_control.hardware.mapping import Reading
 from gms_flex_control.params.arm import ArmParams, AXES, KINDS
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
-from gms_flex_control.params.key import below, Key, keys_of, SMALLEST
+from gms_flex_control.params.key import below, Key, keys_of, LARGEST_STATE, SMALLEST
 from gms_flex_control.params.robot import (
     EncoderParams,
     FrictionParams,
@@ -101,21 +101,25 @@ _TRAJECTORY = (
     Key('modulation', 'relative variation of sliding', '', 0.5, 0.0, 0.99, live=True),
     Key('rate', 'mean slope between torque levels', 'N m/s', 0.02, 1e-9, 1e6, live=True),
     Key('durations', 'of the velocity levels', 's', (1.0,), 1e-3, 1e5, live=True))
+_PLAUSIBLE = -LARGEST_STATE, LARGEST_STATE
 # below trajectory.<joint>
 _MOTION = (
-    Key('amplitude', 'of sinusoid and polynomial', 'rad', 1.0, live=True),
+    Key('amplitude', 'of sinusoid and polynomial', 'rad', 1.0, *_PLAUSIBLE, live=True),
     Key('period', 'of sinusoid and sliding', 's', 6.0, 1e-3, 1e4, live=True),
-    Key('phase', 'of the sinusoid', 'rad', 0.0, live=True),
-    Key('velocity', 'of sliding', 'rad/s', 0.1, live=True),
-    Key('velocities', 'velocity levels', 'rad/s', (0.0,), live=True),
+    Key('phase', 'of the sinusoid', 'rad', 0.0, *_PLAUSIBLE, live=True),
+    Key('velocity', 'of sliding', 'rad/s', 0.1, *_PLAUSIBLE, live=True),
+    Key('velocities', 'velocity levels', 'rad/s', (0.0,), *_PLAUSIBLE, live=True),
     Key('offset', 'where velocity levels, sliding and Fourier series begin', 'rad', 0.0,
-        live=True),
+        *_PLAUSIBLE, live=True),
     Key('levels', 'torque levels, from zero and back to zero', 'N m', (0.0,), live=True),
     Key('bias', 'added to torque levels, against gravity', 'N m', 0.0, live=True),
     Key('travel', 'this far moved ends torque levels, 0 for never', 'rad', 0.0, 0.0, live=True),
-    Key('points', 'via points, the first included', 'rad', (0.0, 1.0, 0.0), live=True),
-    Key('sine', 'amplitudes of the harmonics of a Fourier series', 'rad', (0.0,), live=True),
-    Key('cosine', 'the same, a quarter of a wave earlier', 'rad', (0.0,), live=True))
+    Key('points', 'via points, the first included', 'rad', (0.0, 1.0, 0.0),
+        *_PLAUSIBLE, live=True),
+    Key('sine', 'amplitudes of the harmonics of a Fourier series', 'rad', (0.0,), *_PLAUSIBLE,
+        live=True),
+    Key('cosine', 'the same, a quarter of a wave earlier', 'rad', (0.0,), *_PLAUSIBLE,
+        live=True))
 # below identification
 _EXPERIMENT = (
     Key('experiments', f"which of {', '.join(EXPERIMENTS)}, in this order", default=EXPERIMENTS),
