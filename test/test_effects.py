@@ -94,8 +94,10 @@ EQUATIONS = {
     'supply_sag': ([0.05, 2.0], 'torque', lambda s, a, b: (
         s.torque * (1 + a * (s.supply - b) * (s.supply > 0)))),
     'torque_gain': ([0.1], 'torque', lambda s, a: s.torque * (1 + a)),
-    'torque_ripple': ([0.01, 12.0, 0.3], 'motor_torque', lambda s, a, b, c: (
-        s.motor_torque + a * np.sin(b * s.q_motor + c))),
+    **{name: ([0.01, order, 0.3], 'motor_torque', lambda s, a, b, c: (
+        s.motor_torque + a * np.sin(b * s.q_motor + c)))
+       for name, order in (('torque_ripple', 12.0), ('torque_ripple_2', 24.0),
+                           ('torque_ripple_3', 36.0))},
     'viscous_asymmetry': ([0.03], 'friction', lambda s, a: s.friction + a * abs(s.dq_link)),
     'viscous_error': ([0.03], 'friction', lambda s, a: s.friction + a * s.dq_link)}
 # what else a term may change

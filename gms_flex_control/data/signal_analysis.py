@@ -160,7 +160,7 @@ _STANDS_OUT = 20.0    # power over the median about it; noise alone reaches 10
 _ABOUT = 1.5          # the median is taken from an order over this to one times this
 
 
-def standing_out(angles, torques, rates, coarsest) -> tuple:
+def standing_out(angles, torques, rates, coarsest, fastest=_FASTEST) -> tuple:
     """
     Return the orders [1/rad], floats, at which the spectrum of torque over angle stands out.
 
@@ -173,7 +173,7 @@ def standing_out(angles, torques, rates, coarsest) -> tuple:
     speed = float(np.sqrt(np.mean(np.concatenate(rates) ** 2)))
     if span <= 0.0 or speed <= 0.0:
         return ()
-    finest = 2.0 * np.pi * _FASTEST / speed
+    finest = 2.0 * np.pi * fastest / speed
     bins = int(np.ceil(_PER_WAVE * finest * span / (2.0 * np.pi)))
     if finest <= coarsest or bins > _MOST_BINS:
         return ()

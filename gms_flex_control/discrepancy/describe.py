@@ -74,6 +74,17 @@ def evidence_of(one, others) -> str:
     return sentence + '.'
 
 
+def evidence_of_ripple(ripple) -> str:
+    """Return one sentence on why a FastRipple is named."""
+    scale = torque_scale(ripple.residual)
+    before, after = (scale.text(one) for one in ripple.residual)
+    return (f'at every sample, above the low-pass as well, it lessens the residual torque from '
+            f'{before} to {after} {scale.unit} rms and errors of prediction one sample ahead by '
+            f'{100.0 * ripple.share:.2g} % (in squares); on blocks of time left out of the fit '
+            f'it adds {ripple.gain.nats:.3g} to the log likelihood, {ripple.gain.sigmas:.2g} '
+            'standard errors.')
+
+
 def of_joints(effects, between=', ') -> str:
     """Return (effect, joint) pairs in words, sorted."""
     return between.join(f'{effect} of {joint}' for effect, joint in sorted(effects))

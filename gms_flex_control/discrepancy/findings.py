@@ -7,7 +7,7 @@ From effects that were fitted to findings: those that are real, and what each co
 Small ones are listed apart and change no verdict.
 """
 
-from gms_flex_control.discrepancy.describe import evidence_of
+from gms_flex_control.discrepancy.describe import evidence_of, evidence_of_ripple
 from gms_flex_control.discrepancy.evidence import posterior, State
 from gms_flex_control.discrepancy.fitting import (
     effect_columns,
@@ -289,3 +289,21 @@ def _values(likelihood, found, index):
                            float(max(value - away, parameter.lower)),
                            float(min(value + away, parameter.upper))))
     return tuple(found)
+
+
+def finding_of(ripple, robot) -> Finding:
+    """Return the Finding of a FastRipple of a robot."""
+    spec, kind = ripple.spec, find(ripple.spec.name)
+    own = np.array([joint == spec.joint for joint in robot.joints])
+    values = tuple(
+        Value(parameter.name, parameter.unit, value, max(value - CONFIDENT * sd, parameter.lower),
+              min(value + CONFIDENT * sd, parameter.upper))
+        for parameter, value, sd in zip(kind.parameters, spec.values, ripple.deviations,
+                                        strict=True))
+    return Finding(
+        effect=spec.name, joint=spec.joint, values=values, main=True, torque=ripple.torque,
+        share=ripple.share, score=2.0 * ripple.gain.nats, probability=1.0, held_out=ripple.gain,
+        runner_up=None, runner_up_score=0.0, indistinguishable_from=(), discriminated_by='',
+        evidence=evidence_of_ripple(ripple),
+        residual=Residual(*(np.where(own, one, np.nan) for one in ripple.residual)),
+        full_rate=True)

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The gap between model and measurement on data held out: residual torque and free runs."""
 
+from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -54,11 +55,14 @@ class HeldOut:
         Of the recordings that were fitted.
     other : Likelihood, optional
         Of other recordings.
+    further : tuple of EffectSpec
+        What all models have as well, as it is.
 
     """
 
-    def __init__(self, likelihood, other=None):
+    def __init__(self, likelihood, other=None, further=()):
         self._likelihood, self.other, self._errors = likelihood, other, {}
+        self._further = further
 
     @cached_property
     def of_blocks(self) -> 'HeldOut':
@@ -135,6 +139,10 @@ class HeldOut:
 
     def _parts(self, state):
         """Return what predicts which held-out moments: a State as it is, or refitted in folds."""
+        return [(replace(robot, effects=(*robot.effects, *self._further)), x, masks)
+                for robot, x, masks in self._fitted_parts(state)]
+
+    def _fitted_parts(self, state):
         model, likelihood = state.model, self._likelihood
         if self.other is not None:
             return _whole(self.other, model)

@@ -48,6 +48,7 @@ class Finding:
     discriminated_by: str   # experiment that separates it from those and the runner-up, or ''
     evidence: str           # one sentence
     residual: Residual      # without it and with it
+    full_rate: bool = False  # seen at every sample, as its residual
 
     @property
     def key(self) -> tuple[str, str]:

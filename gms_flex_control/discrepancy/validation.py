@@ -169,9 +169,14 @@ def _inertia(motion, constants, left, joint):
     return np.maximum(np.mean(more[:, [joint, n + joint]] - left, axis=0), _LEAST_INERTIA)
 
 
+def memory_of(period) -> int:
+    """Return from how many earlier errors the next is predicted."""
+    return int(np.clip(_MEMORY / period, _FEWEST, _MOST))
+
+
 def _innovation_cost(left, usable, period):
     """Return the cost of residuals (T, C) less what those before predict of them."""
-    memory = int(np.clip(_MEMORY / period, _FEWEST, _MOST))
+    memory = memory_of(period)
     rows = np.flatnonzero(np.convolve(usable, np.ones(memory + 1), 'valid') > memory) + memory
     size = left.shape[1] * memory
     if len(rows) < _LEAST * size:

@@ -71,6 +71,7 @@ class Effect(ABC):
     whole_arm = False         # stands under effects.arm instead of under a joint
     evidence: str             # what it shows against, of discrepancy.remainder.VARIABLES
     similar = ()           # names of effects that data hardly distinguish from it
+    again = ()             # names under which a joint may have it once and twice more
     declared_from = 0.8       # share of what it explains from which these are reported as well
     discriminated_by: str     # the experiment that separates it from others, without a verb
     of_feedback = False       # encoder noise in the torque of a feedback resembles a little of it

@@ -132,7 +132,9 @@ EFFECTS = {
     'spring_damping': _add('damping', _SPRING),
     'spring_hysteresis': _spring_hysteresis,
     'spring_offset': _spring_offset, 'torque_gain': _torque_gain,
-    'torque_ripple': lambda joint, *ripple: joint.ripples.append(ripple),
+    **dict.fromkeys(
+        ('torque_ripple', 'torque_ripple_2', 'torque_ripple_3'),
+        lambda joint, *ripple: joint.ripples.append(ripple)),
     'viscous_asymmetry': lambda joint, slope: _add('viscous')(joint, slope * _SIGNS),
     'viscous_error': _add('viscous'),
 }

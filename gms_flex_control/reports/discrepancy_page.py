@@ -68,7 +68,7 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
         _add_summary(report, result)
         return pictures
     along = residual_views.Along(result.behind.likelihood)
-    evidence = {one: residual_views.evidence_of(along, result.behind.after, one)
+    evidence = {one: _evidence_of(along, result, one)
                 for one in [one for one in result.named if one.main][:MOST_PICTURES]}
     runs = free_runs_of(result.behind, holdout)
     first = None  # what stands open: how an effect shows, or the free runs of a joint
@@ -89,6 +89,14 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
     _add_closed_loop(report, result.gap.closed_loop)
     _add_tables(report, result, models)
     return pictures
+
+
+def _evidence_of(along, result, finding):
+    """Return how a Finding shows in the model found, or at every sample in the one written."""
+    behind, views = result.behind, residual_views
+    if not finding.full_rate:
+        return views.evidence_of(along, behind.after, finding)
+    return views.evidence_of(views.AlongUnfiltered(behind.likelihood), behind.written, finding)
 
 
 def _add_summary(report, result):

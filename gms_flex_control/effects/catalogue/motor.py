@@ -156,6 +156,7 @@ class TorqueRipple(Term):
     stage = Stage.MOTOR
     evidence = 'motor angle'
     similar = ('kinematic_error',)
+    again = ('torque_ripple_2', 'torque_ripple_3')
     discriminated_by = 'the same motion under another load'
     fed_forward = True
     parameters = (
@@ -169,3 +170,16 @@ class TorqueRipple(Term):
     @staticmethod
     def apply(s, p, memory, dt) -> None:
         s[MOTOR_TORQUE] += p[0] * np.sin(p[1] * s[Q_MOTOR] + p[2])
+
+
+class SecondTorqueRipple(TorqueRipple):
+    """As torque_ripple, of another order."""
+
+    name, words = 'torque_ripple_2', 'A second ripple of motor or gear, of another order'
+    again, guesses = (), staticmethod(lambda s: [])  # those of the first
+
+
+class ThirdTorqueRipple(SecondTorqueRipple):
+    """As torque_ripple, of a third order."""
+
+    name, words = 'torque_ripple_3', 'A third ripple of motor or gear, of yet another order'
