@@ -30,7 +30,11 @@ GIVEN, BEFORE, AFTER, FLOOR, OWN = '0.65', COLOURS[1], COLOURS[0], '0.35', COLOU
 
 
 def map_figure(result) -> Figure:
-    """Return friction over velocity of a JointResult with the fitted Stribeck curves (Fig. 3)."""
+    """
+    Return friction over velocity of a JointResult with the fitted Stribeck curves (Fig. 3).
+
+    They are dashed beyond the steady velocities of the data.
+    """
     figure, (linear, log) = side_by_side(2)
     measured, fit = result.friction_map, result.steady_velocity
     for sign, name, colour in DIRECTIONS:
@@ -41,15 +45,19 @@ def map_figure(result) -> Figure:
             linear.plot(measured.velocity[rows], measured.torque[rows], 'o', **look)
             log.plot(sign * measured.velocity[rows], sign * measured.torque[rows], 'o', **look,
                      label=f'{name}, measured' if steady else None)
-        rows = sign * fit > 0.0
-        torque = result.steady_torque[rows]
-        linear.plot(fit[rows], torque, color=colour)
-        log.plot(sign * fit[rows], sign * torque, color=colour, label=f'{name}, fitted')
+        rows, steady = sign * fit > 0.0, sign * measured.velocity[measured.steady]
+        speed, torque = sign * fit[rows], sign * result.steady_torque[rows]
+        steady = steady[steady > 0.0]
+        seen = (speed >= steady.min()) & (speed <= steady.max()) if len(steady) else speed < 0.0
+        for line, shown, label in (('--', torque, None), (
+                '-', np.where(seen, torque, np.nan), f'{name}, fitted')):
+            linear.plot(sign * speed, sign * shown, line, color=colour)
+            log.plot(speed, shown, line, color=colour, label=label)
     log.legend(loc='best')
     labelled(figure, [linear, log], [
         ('velocity [rad/s]', 'friction torque [N m]'),
         ('speed [rad/s]', 'torque against the motion [N m]')],
-        f'{result.joint}: friction over velocity (open: velocity not steady)')
+        f'{result.joint}: friction over velocity (open: velocity not steady; dashed: no data)')
     log.set_xscale('log')
     return figure
 
