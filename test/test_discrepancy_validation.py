@@ -16,7 +16,14 @@ from gms_flex_control.discrepancy.gap import Errors, free_rms, free_runs, HeldOu
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
-from gms_flex_control.discrepancy.validation import FOLDS, Gain, gain_of, prediction_cost, steps
+from gms_flex_control.discrepancy.validation import (
+    FOLDS,
+    Gain,
+    gain_of,
+    gain_over,
+    prediction_cost,
+    steps,
+)
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.params.arm import at_last_link, Body, carrying
 from gms_flex_control.params.robot import EffectSpec
@@ -109,6 +116,16 @@ def test_a_fold_is_predicted_by_a_fit_that_saw_nothing_of_it(ideal_robot, gains)
 def test_a_gain_is_real_that_is_large_and_not_of_one_block(gain, expected):
     """Of an effect that acts in few blocks no standard error is known."""
     assert gain.is_real is expected
+
+
+@pytest.mark.parametrize('true, least, most', [(1.0, 0.95, 1.0), (0.0, 0.0, 1.0 / 40.0)])
+def test_what_acts_unevenly_is_as_real_as_what_acts_evenly(true, least, most):
+    """Blocks in closed form: of x of unit variance about ``true`` times a size, that of a fit."""
+    size = np.array([3.0, 3.0, 10.0, 3.0, 4.0, 3.0, 4.0, 4.0, 4.0, 3.0])
+    x = np.random.default_rng(0).standard_normal((2000, len(size))) + true * size
+    for fitted in ([size] if true else [size, 0.1 * size]):
+        gains = x * fitted - 0.5 * fitted ** 2  # log likelihood ratio of means fitted and 0
+        assert least <= np.mean([gain_over(one).is_real for one in gains]) <= most
 
 
 def test_a_perfect_model_is_at_its_floor(case):

@@ -5,7 +5,16 @@
 
 from types import SimpleNamespace
 
-from bench.hidden_arms.hidden_arms import case_of, Job, judged, keep, kept, Outcome, truth_of
+from bench.hidden_arms.hidden_arms import (
+    case_of,
+    Job,
+    judged,
+    keep,
+    kept,
+    Outcome,
+    truth_of,
+    try_job,
+)
 from bench.hidden_arms.plant import Hidden, recording_of
 from gms_flex_control.discrepancy.gap import free_runs
 from gms_flex_control.discrepancy.motion import motion_of
@@ -67,6 +76,12 @@ def test_an_effect_in_mujoco_is_that_of_the_catalogue(name, values, joint):
         _, link, _ = free_runs(motion, plant.constants_of(robot))
         free.append(np.sqrt(np.mean(link ** 2)))
     assert free[1] < 0.2 * free[0]
+
+
+def test_friction_by_load_of_a_rigid_wrist_is_no_torque_constant():
+    outcome = try_job(Job('light', 'single', 7100, 20.0))
+    assert outcome.hidden.startswith('load_friction joint5')
+    assert outcome.right and outcome.free_ratio < 0.1
 
 
 def test_effects_that_are_parameters_change_the_robot():

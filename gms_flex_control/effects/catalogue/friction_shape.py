@@ -44,7 +44,6 @@ class PositionFriction(Term):
 _STRAIGHT = 10.0  # times its speed: from there on the arc keeps its shape
 _FASTEST = 2.0  # times the rms of a speed: about its largest in usual motion
 _FINE = 1e-3   # of the range of angles: least reach of a guess
-_LOADED = 2.0  # of friction: what a rigid joint carries beyond it, for it to be a load
 
 
 class LoadFriction(Term):
@@ -70,8 +69,6 @@ class LoadFriction(Term):
 
     @staticmethod
     def guesses(scales) -> list:
-        if scales.rigid and scales.spring < _LOADED * scales.friction:
-            return []  # it carries its own friction
         reach = max(scales.count, _FINE * scales.travel.span)
         return linear(0.05, reach, positive=True) if reach > 0.0 else []
 
