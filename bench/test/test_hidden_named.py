@@ -48,6 +48,14 @@ def test_a_delay_and_a_lag_are_separated_in_a_closed_loop(seed, effect):
     assert next(iter(first.parameters.values())) == pytest.approx(hidden.values[0], rel=0.05)
 
 
+def test_a_delay_is_no_lag_when_noise_is_simulated_with_it():
+    """Noise of a robot with a lag would show six further effects, of which none is there."""
+    case = make_case('double', 2121, population='noise_3_coloured')
+    result = find_discrepancy([case.recording], case.nominal)
+    assert {(one.effect, one.joint) for one in result.findings} == {
+        (spec.name, spec.joint) for spec in case.truth.effects}, result.words
+
+
 def test_a_term_for_parameters_believed_a_little_wrong_is_none():
     """As believed, a spring 3 % off lacks a torque over torsion; re-tuned, the robot does not."""
     case = make_case('clean', 206, duration=20.0)

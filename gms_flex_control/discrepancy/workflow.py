@@ -52,7 +52,7 @@ from gms_flex_control.discrepancy.thresholds import (
     WORSE,
 )
 from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
-from gms_flex_control.discrepancy.worth import caution_of, plausible_limit, with_fewer
+from gms_flex_control.discrepancy.worth import caution_of, plausible_limit, timed, with_fewer
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -235,7 +235,7 @@ def _searched(likelihood, options, say):
                       say=say)
     found = None
     for k in range(_SIMULATED + 1):
-        found = searched(found, k < _SIMULATED)
+        found = timed(likelihood, searched(found, k < _SIMULATED))
         sound = _sound(likelihood, found)
         if sound is None:
             break  # noise stays that of the robot believed, which keeps to the motion
