@@ -16,6 +16,7 @@ from gms_flex_control.discrepancy.result import FOUND
 from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.params.robot import EffectSpec, FrictionParams, StribeckParams
+from gms_flex_control.reports.discrepancy_page import write_discrepancy_report
 import numpy as np
 import pytest
 
@@ -102,9 +103,9 @@ def test_an_error_of_the_gear_is_no_ripple(effect, values, expected, robot, gain
     assert [one.spec.name for one in found] == expected
 
 
-def test_the_workflow_names_it_and_writes_it(robot, gains):
-    """Two waves per turn of the generator of a gear of 100: they pass at 18 Hz, and at 50."""
-    time, true_wave = np.arange(10_000) * 2e-3, (0.015, 200.0, 0.3)
+def test_the_workflow_names_it_and_writes_it(robot, gains, tmp_path):
+    """Two waves per turn of the generator of a gear of 160: they pass at 28 Hz, and at 80."""
+    time, true_wave = np.arange(10_000) * 2e-3, (0.015, 320.0, 0.3)
     hidden = replace(robot, effects=(EffectSpec(name='torque_ripple', joint='joint1',
                                                 values=true_wave),))
     run = truth.simulate(hidden, robot, gains, motions.draw_reference(
@@ -113,6 +114,7 @@ def test_the_workflow_names_it_and_writes_it(robot, gains):
     result = find_discrepancy([recorded(robot, time, q_link, q_motor, run.command, None)], robot)
     assert result.verdict == FOUND, result.words
     assert [(one.effect, one.joint) for one in result.findings] == [('torque_ripple', 'joint1')]
+    assert result.findings[0].full_rate
     for value, true in zip(result.findings[0].values, true_wave, strict=True):
         assert value.low < true < value.high
     assert [spec.name for spec in result.robot.effects] == ['torque_ripple']
@@ -123,3 +125,7 @@ def test_the_workflow_names_it_and_writes_it(robot, gains):
     assert wave @ shown.before.mean == pytest.approx(1.0, abs=0.3)
     assert abs(wave @ shown.after.mean) < 0.3
     assert np.ptp(shown.own.mean) == pytest.approx(2.0 * true_wave[0], rel=0.1)
+    less = replace(result.behind.written, robot=robot)  # as where free runs were worse with it
+    for one in (result, replace(result, robot=robot, behind=result.behind._replace(written=less))):
+        written = write_discrepancy_report(one, tmp_path)
+        assert any('torque_ripple' in path.name for path in written)

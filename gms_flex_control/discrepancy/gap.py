@@ -56,7 +56,7 @@ class HeldOut:
     other : Likelihood, optional
         Of other recordings.
     further : tuple of EffectSpec
-        What all models have as well, as it is.
+        What all models of a Gap have as well, as it is.
 
     """
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple, Self
 
 from gms_flex_control.effects.registry import find
+from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
 COMPLETE, FOUND, UNEXPLAINED, BAD_DATA = 'complete', 'effects_found', 'unexplained', 'bad_data'
@@ -59,6 +60,12 @@ class Finding:
     def parameters(self) -> dict[str, float]:
         """Return the values by name, dict of str to float."""
         return {value.name: value.value for value in self.values}
+
+    @property
+    def spec(self) -> EffectSpec:
+        """Return the effect with its values, as a robot has it."""
+        return EffectSpec(name=self.effect, joint=self.joint,
+                          values=tuple(value.value for value in self.values))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

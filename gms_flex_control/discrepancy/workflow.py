@@ -176,7 +176,7 @@ def _with_ripples(likelihood, other, ripples, states, gap):
     if not further:
         return after, gap
     own = HeldOut(likelihood, other, further).gap(alone, after)
-    if any(np.sum(one ** 2) > CLEARLY * np.sum(other ** 2) for one, other in (
+    if any(np.sum(with_them ** 2) > CLEARLY * np.sum(without ** 2) for with_them, without in (
             (own.after / likelihood.coulomb, gap.after / likelihood.coulomb),
             (own.free_after, gap.free_after))):
         return after, gap

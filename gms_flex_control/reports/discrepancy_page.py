@@ -4,12 +4,14 @@
 """The page of a discrepancy: what the model lacks, why, and how much closer it came."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from gms_flex_control.discrepancy import describe, residual_views
 from gms_flex_control.discrepancy.compared import free_runs_of
 from gms_flex_control.discrepancy.gap import HORIZON
+from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.arm import in_currents, in_units
@@ -96,7 +98,10 @@ def _evidence_of(along, result, finding):
     behind, views = result.behind, residual_views
     if not finding.full_rate:
         return views.evidence_of(along, behind.after, finding)
-    return views.evidence_of(views.AlongUnfiltered(behind.likelihood), behind.written, finding)
+    model = behind.written
+    if finding in result.not_added:
+        model = replace(model, robot=with_effect(model.robot, finding.spec))
+    return views.evidence_of(views.AlongUnfiltered(behind.likelihood), model, finding)
 
 
 def _add_summary(report, result):
