@@ -176,7 +176,8 @@ class SecondTorqueRipple(TorqueRipple):
     """As torque_ripple, of another order."""
 
     name, words = 'torque_ripple_2', 'A second ripple of motor or gear, of another order'
-    again, guesses = (), staticmethod(lambda s: [])  # those of the first
+    similar = again = ()
+    guesses = staticmethod(lambda s: [])  # those of the first
 
 
 class ThirdTorqueRipple(SecondTorqueRipple):
