@@ -86,7 +86,7 @@ def test_drives_have_the_voltage_that_was_recorded(recording, ideal_robot, gains
     weaker = replace(ideal_robot, effects=(sag,))
     volts = np.linspace(24.0, 19.0, len(recording.time))
     segments = [segment_of(replace(recording, supply=supply))
-                 for supply in (None, np.full(len(volts), 24.0), volts)]
+                for supply in (None, np.full(len(volts), 24.0), volts)]
     unknown, full, less = (np.abs(simulated(weaker, ideal_robot, gains, segment)
                                   - recording.q_link).max(axis=0) for segment in segments)
     assert unknown.max() < 1e-12 and full.max() < 1e-12

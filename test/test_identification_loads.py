@@ -321,7 +321,7 @@ def test_an_axis_without_torque_does_not_end_the_fit_of_another():
     robot = rigid_joints(('turn', 'lift'))
     drive = bend + 0.8 * np.tanh(rate / 1e-3) + 0.2 * rate
     recorded = Recording(joints=robot.joints, time=time, source='axes', q_link=np.stack([q, q], 1),
-                     tau_motor=np.stack([drive, np.full(len(q), np.nan)], axis=1))
+                         tau_motor=np.stack([drive, np.full(len(q), np.nan)], axis=1))
     found = identify([recorded], robot, options=Options(blocks=(1,)))
     assert [one.joint for one in found.joints] == ['turn']
     assert found.robot.friction.forward.coulomb == pytest.approx([0.8, 1.0], rel=0.05)

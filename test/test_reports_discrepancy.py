@@ -80,7 +80,7 @@ def test_a_map_shows_what_is_more_than_chance():
 
 def test_a_number_that_is_not_finite_is_null():
     reported = plain({'a': np.float64(np.nan), 'b': (np.int64(3), np.array([1.0, np.inf])),
-                  'c': Value('gap', 'rad', 1.0, -np.inf, 2.0)})
+                      'c': Value('gap', 'rad', 1.0, -np.inf, 2.0)})
     assert reported == {'a': None, 'b': [3, [1.0, None]], 'c': ['gap', 'rad', 1.0, None, 2.0]}
 
 

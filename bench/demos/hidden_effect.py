@@ -43,9 +43,10 @@ class HiddenEffect:
 
 
 def drawable() -> tuple[str, ...]:
-    """Return the effects that may be drawn: a controller can compensate them."""
-    return tuple(name for name in registry.names()
-                 if compensated(name) and not registry.find(name).of_recording)
+    """Return the effects that may be drawn: a controller can compensate them, once per joint."""
+    again = {name for one in registry.names() for name in registry.find(one).again}
+    return tuple(name for name in registry.names() if name not in again
+                 and compensated(name) and not registry.find(name).of_recording)
 
 
 def hide_effect(robot, gains, seed, *, effect=None, duration=60.0) -> HiddenEffect:

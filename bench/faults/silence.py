@@ -73,7 +73,7 @@ def _try_to_freeze(robot, name, angles, moving, tally):
     before, begin, moment = _count(robot), robot.stamp, time.monotonic()
     robot.spoil = freeze = _Freeze(robot, angles, moving)
     named = robot.until(lambda: all(NAMES[k] in robot.diagnostics.sentence(CONTROLLER)
-                                for k in angles), _LONGEST)
+                                    for k in angles), _LONGEST)
     tally.expect(named, f'{name}: the controller says {robot.diagnostics.sentence(CONTROLLER)!r}')
     later = robot.run(_AFTERWARDS)
     tally.expect(not robot.largest(later), f'{name}: a torque though it was reported')

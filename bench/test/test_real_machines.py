@@ -248,7 +248,8 @@ def assert_no_worse(found):
 @real
 def test_an_industrial_robot_is_predicted_no_worse_than_by_coulomb_and_viscous():
     recorded, other = ([(recording.of_joints(['axis1']), ())] for name in 'AB'
-                   for recording, _ in imported('kr300', f'rec_{name}.csv', 'import_kr300.yaml'))
+                       for recording, _ in imported('kr300', f'rec_{name}.csv',
+                                                    'import_kr300.yaml'))
     found = identify(recorded, rigid_joints(['axis1']), holdouts=other, options=ALL)
     assert_no_worse(found)
     assert any(estimate.name == 'arm.axis1.stiffness' and 'not identifiable' in estimate.flags

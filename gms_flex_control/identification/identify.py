@@ -150,8 +150,8 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
 
 def _currents_of(recordings, robot, whole):
     """Return whether efforts stay currents; IdentificationError where they cannot."""
-    unknown = [joint for one, _ in recordings for joint, sd in zip(one.joints, one.scale_sd,
-                                                               strict=True)
+    unknown = [joint for one, _ in recordings
+               for joint, sd in zip(one.joints, one.scale_sd, strict=True)
                if joint in robot.joints and np.isinf(sd)]
     if not unknown or robot.arm.frames is not None:
         return False
