@@ -10,9 +10,12 @@ of what is left (Ljung, System Identification, 2nd ed., 1999, section 3.2): thes
 a low-pass would take the waves away.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import rms, standing_out
+from gms_flex_control.discrepancy.evidence import State
+from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.motion import (
     at_full_rate,
@@ -20,8 +23,9 @@ from gms_flex_control.discrepancy.motion import (
     weight_of_neighbours,
 )
 from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.samples import encoder_step
-from gms_flex_control.discrepancy.thresholds import PRACTICAL
+from gms_flex_control.discrepancy.thresholds import CLEARLY, PRACTICAL
 from gms_flex_control.discrepancy.validation import Gain, gain_over, memory_of
 from gms_flex_control.effects.catalogue.motor import TorqueRipple
 from gms_flex_control.effects.registry import find
@@ -36,7 +40,6 @@ from scipy.signal import lfilter
 _SAMPLES_PER_WAVE = 4.0  # at the usual speed
 _READINGS_PER_WAVE = 8.0  # counts of the motor's encoder, or standard deviations of its noise
 _BLOCK = 0.5          # of time: errors of prediction remember nothing [s]
-_EDGE = 0.5           # at both ends, where smoothing is not settled [s]
 _ABOUT = 1.5          # of what the span of angles resolves: an order is looked for so far about
 _RIDGE = 1e-6         # of the power: frequencies without any have no filter
 
@@ -79,14 +82,34 @@ def fast_ripples(likelihood, model, excluded=()) -> list[FastRipple]:
     left, found = [unexplained(motion, constants) for motion in motions], []
     for j, joint in enumerate(robot.joints):
         if joint not in likelihood.unseen:
-            at = j if robot.arm.rigid[j] else robot.n_joints + j
-            found += _of_joint(_Equation(motions, left, j, at), None if robot.arm.rigid[j] else
-                               _Equation(motions, left, j, j), likelihood, robot, joint)
+            found += _of_joint(motions, left, j, likelihood, robot)
     return found
 
 
-def _of_joint(equation, of_link, likelihood, robot, joint):
+def with_ripples(likelihood, other, ripples, states, gap) -> tuple[State, Gap]:
+    """
+    Return the second of two States with FastRipples and its Gap.
+
+    As it is without any, or if torque or free runs are clearly worse with them.
+    """
+    alone, after = states
+    further = tuple(one.spec for one in ripples)
+    if not further:
+        return after, gap
+    own = HeldOut(likelihood, other, further).gap(alone, after)
+    if any(np.sum(with_them ** 2) > CLEARLY * np.sum(without ** 2) for with_them, without in (
+            (own.after / likelihood.coulomb, gap.after / likelihood.coulomb),
+            (own.free_after, gap.free_after))):
+        return after, gap
+    robot = replace(after.model.robot, effects=(*after.model.robot.effects, *further))
+    return (after._replace(model=likelihood.fitted(robot, after.model.x)),
+            replace(gap, after=own.after, rest_after=own.rest_after, free_after=own.free_after))
+
+
+def _of_joint(motions, left, j, likelihood, robot):
     """Return the FastRipples of a joint by its motor's equation."""
+    joint, rigid = robot.joints[j], robot.arm.rigid[j]
+    equation = _Equation(motions, left, j, j if rigid else robot.n_joints + j)
     coarsest = 2.0 * np.pi * FEWEST_WAVES / max(equation.span, 1e-300)
     there, orders, found = _orders_of(robot, joint), [], []
     while True:
@@ -104,7 +127,7 @@ def _of_joint(equation, of_link, likelihood, robot, joint):
         order = min(tried, key=lambda one: equation.cost([*orders, one]))
         ripple = equation.ripple(orders, order, name, joint)
         if (not ripple.gain.is_real or ripple.torque < PRACTICAL * likelihood.level_of(joint)
-                or of_link and of_link.gain([], order).is_real):
+                or not rigid and _Equation(motions, left, j, j).gain([], order).is_real):
             return found
         orders.append(order)
         found.append(ripple)
@@ -137,9 +160,7 @@ class _Equation:
         self._used, blocks, first = [], [], 0
         for motion in motions:
             time = motion.time - motion.time[0]
-            known = minimum_filter1d(motion.known.astype(int), memory + 1,
-                                     origin=memory // 2).astype(bool)
-            used = known & (time > _EDGE) & (time < time[-1] - _EDGE)
+            used = motion.settled & minimum_filter1d(motion.known, memory + 1, origin=memory // 2)
             self._used.append(used)
             blocks.append(first + (time[used] / _BLOCK).astype(int))
             first += int(time[-1] / _BLOCK) + 1

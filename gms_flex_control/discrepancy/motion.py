@@ -25,6 +25,7 @@ WORKING_PERIOD = 4e-3  # sample at which the equations are formed, if the record
 _STANDING = 0.2        # a link stands that its encoder does not see move for so long [s]
 _ONE_COUNT = 1.5       # counts: the reading goes to and fro between two
 _DEVIATIONS = 6.0      # of noise: so far apart readings of a link at rest lie
+_EDGE = 0.5            # at both ends, where smoothing is not settled [s]
 _MOST_KEPT = 16        # torques along a motion that are kept
 
 
@@ -75,6 +76,12 @@ class Motion:
     def through_filter(self, torque) -> np.ndarray:
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
         return thinned(held_triangle(torque), self.factor)
+
+    @cached_property
+    def settled(self) -> np.ndarray:
+        """Return where angles were read and smoothing is settled (S,), bool."""
+        middle = 0.5 * (self.time[0] + self.time[-1])
+        return self.known & (np.abs(self.time - middle) < 0.5 * np.ptp(self.time) - _EDGE)
 
     @cached_property
     def push(self) -> np.ndarray:

@@ -21,7 +21,6 @@ UNITS = {'time': 's', 'link angle': 'rad', 'motor angle': 'rad', 'link rate': 'r
          'distance since reversal': 'rad'}
 BINS = 36
 _LEAST = 6            # samples of a bin
-_EDGE = 0.5           # at both ends of a recording, where smoothing is not settled [s]
 _MOVING = 0.05        # of the rms rate: slower is at rest
 _BETTER = 0.05        # share by which another factor, or joint, must improve
 _STRANGE = 0.4        # likewise another variable than the one an effect names
@@ -116,10 +115,8 @@ class AlongUnfiltered(Along):
     """Likewise at every sample of the equations: a low-pass hides nothing."""
 
     def _kept(self, rows):
-        return np.concatenate([one[motion.known & (np.abs(
-            motion.time - 0.5 * (motion.time[0] + motion.time[-1])) < 0.5 * np.ptp(
-                motion.time) - _EDGE)] for one, motion in zip(
-                    rows, self.likelihood.motions, strict=True)])
+        return np.concatenate([one[motion.settled] for one, motion in zip(
+            rows, self.likelihood.motions, strict=True)])
 
     def residual(self, model) -> np.ndarray:
         """Return residual torques (S, 2n) of a Fitted [N m]."""

@@ -24,7 +24,6 @@ _DEGREES = 4.0        # of freedom of Student's distribution
 _ACTS = 0.02          # of what an effect changes at most in a block: with less it is not there
 _MEMORY = 0.08        # of earlier errors that the next is predicted from [s]
 _FEWEST, _MOST = 8, 60  # samples of it
-_EDGE = 0.5           # at both ends, where smoothing is not settled [s]
 _LEAST = 4            # rows per number that is fitted: fewer decide nothing
 _RIDGE = 1e-12        # of the mean square
 _LEAST_INERTIA = 1e-9  # of an equation [kg m^2]
@@ -147,8 +146,6 @@ def prediction_cost(likelihood, models, joint) -> np.ndarray:
     costs = np.zeros(len(models))
     for motion in likelihood.motions:
         fine = at_full_rate(motion)
-        usable = fine.known & (np.abs(fine.time - 0.5 * (fine.time[0] + fine.time[-1]))
-                               < 0.5 * np.ptp(fine.time) - _EDGE)
         for i, (robot, x) in enumerate(models):
             constants = likelihood.constants(robot, x)
             left = unexplained(fine, constants)
@@ -156,7 +153,7 @@ def prediction_cost(likelihood, models, joint) -> np.ndarray:
                 own = left[:, [j, n + j]]
                 acted = np.any(own, axis=0)
                 errors = own / np.where(acted, _inertia(fine, constants, own, j), 1.0)
-                costs[i] += _innovation_cost(errors[:, acted], usable, fine.period)
+                costs[i] += _innovation_cost(errors[:, acted], fine.settled, fine.period)
     return costs
 
 

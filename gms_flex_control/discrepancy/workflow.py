@@ -12,7 +12,7 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy import describe
 from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.evidence import credible, doubted, posterior
-from gms_flex_control.discrepancy.fast_ripple import fast_ripples
+from gms_flex_control.discrepancy.fast_ripple import fast_ripples, with_ripples
 from gms_flex_control.discrepancy.findings import (
     as_given,
     finding_of,
@@ -158,31 +158,11 @@ def _compared(motions, holdout, robot, options, say):
     ripples = fast_ripples(likelihood, after.model, options.without)[
         :max(options.most - len(after.key(likelihood.known)), 0)]
     findings += [finding_of(ripple, robot) for ripple in ripples]
-    after, gap = _with_ripples(likelihood, held_out.other, ripples, (alone, after), gap)
+    after, gap = with_ripples(likelihood, held_out.other, ripples, (alone, after), gap)
     result = _result(likelihood, found, searched, after, findings, left, gap, retuned_alone)
     words, details = describe.paragraph(result, sorted(likelihood.unseen),
                                         _known_off(found, robot))
     return replace(result, words=words, details=details)
-
-
-def _with_ripples(likelihood, other, ripples, states, gap):
-    """
-    Return the second of two States with FastRipples and its Gap.
-
-    As it is if there are none, or if torque or free runs are clearly worse with them.
-    """
-    alone, after = states
-    further = tuple(one.spec for one in ripples)
-    if not further:
-        return after, gap
-    own = HeldOut(likelihood, other, further).gap(alone, after)
-    if any(np.sum(with_them ** 2) > CLEARLY * np.sum(without ** 2) for with_them, without in (
-            (own.after / likelihood.coulomb, gap.after / likelihood.coulomb),
-            (own.free_after, gap.free_after))):
-        return after, gap
-    robot = replace(after.model.robot, effects=(*after.model.robot.effects, *further))
-    return (after._replace(model=likelihood.fitted(robot, after.model.x)),
-            replace(gap, after=own.after, rest_after=own.rest_after, free_after=own.free_after))
 
 
 def _result(likelihood, found, searched, after, findings, left, gap, retuned_alone):
