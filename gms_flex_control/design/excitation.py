@@ -136,8 +136,8 @@ def plan_excitation(robot: RobotParams, bounds: Bounds, *, period: float = 10.0,
     for k in range(_STARTS):
         say(f'search {k + 1} of {_STARTS}')
         begin = problem.start(rng)
-        found = minimize(problem.cost, begin, jac=problem.slope, method='L-BFGS-B',
-                         options={'maxiter': _ITERATIONS})
+        found = minimize(problem.cost, begin, method='L-BFGS-B',
+                         options={'maxiter': _ITERATIONS, 'maxfun': np.inf, 'eps': _STEP})
         if best is None or found.fun < best.fun:
             best = found
     return problem.within(best.x, repeats)
@@ -192,15 +192,6 @@ class _Problem:
                                  for one in self.shares(*motion).values()])
         return np.log(number) - _SIZE * np.mean(np.log(size)) + _PENALTY * np.sum(
             excess ** 2) / len(motion[0])
-
-    def slope(self, x) -> np.ndarray:
-        """Return the derivatives of the cost."""
-        here, out = self.cost(x), np.empty(len(x))
-        for k in range(len(x)):
-            moved = x.copy()
-            moved[k] += _STEP
-            out[k] = (self.cost(moved) - here) / _STEP
-        return out
 
     def shares(self, angle, rate, acceleration) -> dict[str, float]:
         """Return by name what a motion (S, n) takes of each limit, 1 at the limit."""

@@ -15,12 +15,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control import friction as gms
 from gms_flex_control.data.signal_analysis import low_pass, rms
-from gms_flex_control.identification.coordinates import Coordinates, friction_record, N_STEADY
+from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.objective import BLOCK_TIME, Bundle, Evaluation, Objective
-from gms_flex_control.identification.segments import moving, smooth_angle
+from gms_flex_control.identification.segments import moving
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -126,18 +125,6 @@ def summed(evaluation: Evaluation, free, prior: Prior) -> tuple[np.ndarray, np.n
     return curvature, slope
 
 
-class _Piece(NamedTuple):
-    """What the torque of one segment is compared by."""
-
-    measured: np.ndarray  # (T,) friction torque by the link equation [N m]
-    angle: np.ndarray     # (T, 1) smoothed
-    rate: np.ndarray      # (T, 1)
-    extra: np.ndarray     # (T, R)
-    window: int
-    counts: np.ndarray    # (T,) bool
-    block: np.ndarray     # (T,) int
-
-
 class TorqueError:
     """
     Torque that a joint's parameters leave unexplained along the measured motion.
@@ -147,33 +134,28 @@ class TorqueError:
     """
 
     def __init__(self, objective: Objective, bundle: Bundle, chosen: Callable, step: float):
-        self._period, self._pieces, joint = bundle.period, [], objective.joint
-        length, used = max(round(BLOCK_TIME / bundle.period), 1), 0
+        self._objective, joint, blocks, used = objective, objective.joint, [], 0
+        length = max(round(BLOCK_TIME / bundle.period), 1)
+        self._pieces = []  # (Segment, its friction torque by the link equation, where it counts)
         for segment in bundle.segments:
             counts = chosen(segment) & segment.tested[:, joint] & moving(
                 segment, joint, step, bundle.half[joint])
             block = used + np.arange(len(counts)) // length
             used = block[-1] + 1
             if counts.any():
-                angle = smooth_angle(segment, bundle.period)
-                self._pieces.append(_Piece(
-                    friction_torque(segment, bundle.arm)[:, joint], angle[:, joint:joint + 1],
-                    segment.rate[:, joint:joint + 1], objective.extra(segment), segment.window,
-                    counts, block))
-        blocks = [piece.block[piece.counts] for piece in self._pieces]
+                blocks.append(block[counts])
+                self._pieces.append((
+                    segment, friction_torque(segment, bundle.arm)[:, joint], counts))
         self.block = np.unique(np.concatenate(blocks), return_inverse=True)[1]
-        self.measured = np.concatenate([piece.measured[piece.counts] for piece in self._pieces])
+        self.measured = np.concatenate([torque[counts] for _, torque, counts in self._pieces])
         self.memory = max(_MEMORY / bundle.period,
-                          *(2.0 * piece.window for piece in self._pieces))
+                          *(2.0 * segment.window for segment, *_ in self._pieces))
 
     def __call__(self, theta):
         """Return the unexplained torque (S,) of parameters [N m]."""
-        record, parts = friction_record([theta]), []
-        for piece in self._pieces:
-            friction = gms.replay(piece.angle, piece.rate, self._period, record)[:, 0]
-            model = friction - piece.extra @ theta[len(theta) - piece.extra.shape[1]:]
-            parts.append(low_pass(piece.measured - model, piece.window)[piece.counts])
-        return np.concatenate(parts)
+        return np.concatenate([
+            low_pass(torque - self._objective.resistance(segment, theta), segment.window)[counts]
+            for segment, torque, counts in self._pieces])
 
 
 def fit_torque(error: TorqueError, coordinates: Coordinates, free, prior: Prior) -> np.ndarray:
@@ -186,18 +168,11 @@ def fit_torque(error: TorqueError, coordinates: Coordinates, free, prior: Prior)
         limit = _BENT / np.sqrt(error.memory)  # linear beyond
         off = np.sign(off) * limit * np.sqrt(2.0 * (np.sqrt(1.0 + (off / limit) ** 2) - 1.0))
         return np.concatenate([off, root * (x - prior.mean)])
-    return least_squares(residual, free, jac=lambda x: _jacobian(residual, x),
+    return least_squares(residual, free, jac=lambda x: jacobian(residual, x),
                          method='lm', max_nfev=15, ftol=1e-4, xtol=1e-4).x
 
 
-def torque_slopes(error: TorqueError, coordinates: Coordinates,
-                  free) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unexplained torque (S,) of free numbers and its Jacobian (S, P)."""
-    def residual(x):
-        return error(coordinates.parameters(x))
-    return residual(free), _jacobian(residual, free)
-
-
-def _jacobian(function, x):
+def jacobian(function: Callable, x: np.ndarray) -> np.ndarray:
+    """Return the derivatives (S, P) of a function of free numbers (P,), by central differences."""
     return np.stack([(function(x + step) - function(x - step)) / (2.0 * _STEP)
                      for step in _STEP * np.eye(len(x))], axis=1)

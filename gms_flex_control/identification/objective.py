@@ -11,7 +11,7 @@ from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
-from gms_flex_control.identification.segments import own_inertias, Segment
+from gms_flex_control.identification.segments import own_inertias, Segment, smooth_angle
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.simulation import plant, predictor
 import numpy as np
@@ -179,10 +179,12 @@ class Objective:
             records.build(blocks), records.build(blocks), plant.workspace(n), predicted)
         return predicted[:, :, self._own]
 
-    def replay(self, angle, segment, theta) -> np.ndarray:
-        """Return the friction (T,) of the joint along ``angle`` (T, n) and a segment's rate."""
-        return gms.replay(angle[:, self._moved], segment.rate[:, self._moved],
-                          self._bundle.period, self._friction(theta))[:, self._own]
+    def resistance(self, segment, theta) -> np.ndarray:
+        """Return friction of the joint (T,) along the smoothed motion, less further torques."""
+        extra, own = self.extra(segment), [self.joint]
+        friction = gms.replay(smooth_angle(segment, self._bundle.period)[:, own],
+                              segment.rate[:, own], self._bundle.period, friction_record([theta]))
+        return friction[:, 0] - extra @ theta[len(theta) - extra.shape[1]:]
 
     def _given(self, segment, theta):
         """Return what is known of a segment and its links, as the predictor takes it."""

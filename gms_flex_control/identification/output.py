@@ -5,7 +5,6 @@
 
 import math
 from pathlib import Path
-from textwrap import wrap
 
 from gms_flex_control import __version__
 from gms_flex_control.data.conditions import NAME, with_found
@@ -28,7 +27,6 @@ from gms_flex_control.schema.files import save_values
 import numpy as np
 
 REPORT_FORMAT = 1
-_COMMENT_WIDTH = 90
 # and of the arm: that of a single axis alone
 _OF_ARM = {'inertia': 'inertia', 'gravity': 'gravity_torque', 'motor_inertia': 'motor_inertia',
            'stiffness': 'stiffness', 'damping': 'damping'}
@@ -197,5 +195,4 @@ def _comment(identification):
         lines += [f'  {short_name(estimate.name, result.joint)}: '
                   f"{', '.join(estimate.flags).upper()}; {estimate.note}".rstrip('; ')
                   for estimate in result.estimates if estimate.flags]
-    return '\n'.join(part for line in lines for part in wrap(
-        line, _COMMENT_WIDTH, subsequent_indent='    '))
+    return '\n'.join(lines)

@@ -17,7 +17,7 @@ from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.objective import Bundle, Objective
 from gms_flex_control.identification.outcome import HeldOut, Loop, Trace
-from gms_flex_control.identification.segments import moving, smooth_angle, standing
+from gms_flex_control.identification.segments import moving, standing
 import numpy as np
 
 HORIZON = 0.5       # of a free simulation [s]
@@ -41,14 +41,6 @@ _WRONG_LINKS = (
     'the links are not as this model has them, so friction holds for this motion only; estimate '
     'them (--estimate all) from motion in which joints do not all turn at once, as gms_flex plan '
     'writes it, and state loads in recording.yaml')
-
-
-def _model_friction(objective, segment, theta, period):
-    """Return friction of the joint (T,) along the smoothed motion, further torques included."""
-    angle = smooth_angle(segment, period)
-    tau = objective.replay(angle, segment, theta)
-    extra = objective.extra(segment)
-    return tau - extra @ theta[len(theta) - extra.shape[1]:]
 
 
 def coulomb_viscous(objective: Objective, bundle: Bundle, step: float,
@@ -117,7 +109,7 @@ def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, sim
     without the samples that are ``chosen``; ``step`` is the encoder step or noise [rad],
     ``repeatability`` that of the torque [N m].
     """
-    joint, period = objective.joint, bundle.period
+    joint = objective.joint
     off, plain, torque, noise, innovations = [], [], [], [], []
     for segment in bundle.segments:
         keep = chosen(segment) & segment.tested[:, joint]
@@ -128,8 +120,8 @@ def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, sim
         keep &= moving(segment, joint, step, bundle.half[joint])
         measured = friction_torque(segment, bundle.arm)[:, joint]
         for errors, parameters in ((off, theta), (plain, simple)):
-            model = _model_friction(objective, segment, parameters, period)
-            errors.append(low_pass(measured - model, window)[keep])
+            errors.append(low_pass(measured - objective.resistance(segment, parameters),
+                                   window)[keep])
         drive = segment.torque + segment.taken
         torque.append(low_pass(drive[:, joint], window)[keep])
         noise.append(_torque_noise(segment.torque[:, joint], window)[keep])
@@ -142,7 +134,7 @@ def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, sim
         free_run_coulomb_viscous=free_run_error(objective, bundle, simple, chosen),
         horizon=HORIZON, innovation_rms=rms(innovations), noise_floor=rms(noise),
         repeatability=repeatability, bandwidth=low_pass_bandwidth(
-            max(segment.window for segment in bundle.segments), period))
+            max(segment.window for segment in bundle.segments), bundle.period))
 
 
 def _torque_noise(torque, window):
@@ -164,8 +156,7 @@ def traces_of(objective: Objective, bundle: Bundle, theta: np.ndarray, chosen: C
         if not len(keep):
             continue
         thin = keep[::max(1, len(keep) // _LONGEST_TRACE)]
-        model = low_pass(_model_friction(objective, segment, theta, bundle.period),
-                         segment.window)
+        model = low_pass(objective.resistance(segment, theta), segment.window)
         measured = low_pass(friction_torque(segment, bundle.arm)[:, objective.joint],
                             segment.window)
         traces.append(Trace(
@@ -248,7 +239,7 @@ def coupling_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray,
     others = [k for k in range(len(names)) if k != joint]
     if bundle.arm.kind != 'decoupled' or not others:
         return ()
-    parts = [_left(objective, bundle, theta, segment, others)
+    parts = [_left(objective, bundle.arm, theta, segment, others)
              for segment in (*bundle.segments, *apart)]
     out = [chosen(segment) & (not apart) for segment in bundle.segments]
     out += [np.ones(len(segment.angle), dtype=bool) for segment in apart]
@@ -268,11 +259,10 @@ def coupling_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray,
             f'{_WRONG_LINKS if in_space else _NO_LINKS}',)
 
 
-def _left(objective, bundle, theta, segment, others):
+def _left(objective, arm, theta, segment, others):
     """Return what is left of the torque (T,), columns of the others, and where both count."""
     joint = objective.joint
-    residual = friction_torque(segment, bundle.arm)[:, joint] - _model_friction(
-        objective, segment, theta, bundle.period)
+    residual = friction_torque(segment, arm)[:, joint] - objective.resistance(segment, theta)
     bend, cosine = segment.acceleration, np.cos(np.nan_to_num(segment.angle[:, others]))
     rate, angle = segment.rate[:, joint], np.nan_to_num(segment.angle[:, joint])
     own = [np.ones(len(rate)), bend[:, joint], rate, np.tanh(rate / (_SLOW * rms(rate) + 1e-12)),

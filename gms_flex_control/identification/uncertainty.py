@@ -23,7 +23,7 @@ from gms_flex_control.identification.coordinates import (
     STATICS,
     yields_of,
 )
-from gms_flex_control.identification.least_squares import summed, torque_slopes
+from gms_flex_control.identification.least_squares import jacobian, summed
 from gms_flex_control.identification.outcome import (
     CONFIDENT,
     DEPENDS,
@@ -43,7 +43,6 @@ _NOTHING = 2e-3         # of the friction level: a part this small is at its bou
 _BEYOND = 3.0           # times the reach of presliding: a block that slips later is not counted
 _STILL_FALLS = 0.05     # of F_s - F_c, left at the highest velocity: F_c is beyond the data
 _LONGEST_MEMORY = 2.0   # of an innovation that is looked for [s]
-_SMALL_STEP = 1e-4      # of a free number, for a derivative
 _LEAST_DETERMINED = 1e-3  # numbers
 _LEAST_ELSEWHERE = 1e-3   # of what the data say of a number: less in all other blocks is rounding
 _NAMES = ('static', 'coulomb', 'velocity', 'viscous')
@@ -86,7 +85,9 @@ def spread_of(objective, fit) -> Spread:
 
 def torque_spread(error, coordinates: Coordinates, free: np.ndarray, prior) -> Spread:
     """Return the Spread of a fit to the torque, ``error`` its TorqueError."""
-    off, slope = torque_slopes(error, coordinates, free)
+    def left(x):
+        return error(coordinates.parameters(x))
+    off, slope = left(free), jacobian(left, free)
     noise = rms(off) ** 2 * error.memory
     curvature = slope.T @ slope / noise + np.diag(prior.precision)
     inverse = np.linalg.pinv(curvature, rcond=1e-12, hermitian=True)
@@ -299,8 +300,7 @@ def curve_of(fit, spread: Spread, displacement: np.ndarray) -> tuple:
     def at(numbers):
         return presliding_curve(coordinates.parameters(numbers), displacement)
     torque = at(free)
-    slopes = np.stack([(at(free + step) - at(free - step)) / (2.0 * _SMALL_STEP)
-                       for step in _SMALL_STEP * np.eye(len(free))], axis=-1)
+    slopes = jacobian(at, free)
     variance = np.einsum('dp,pq,dq->d', slopes, spread.covariance, slopes)
     if rivals:
         variance += np.mean([(presliding_curve(rival, displacement) - torque) ** 2

@@ -3,8 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A discrepancy as plain values, report.json, robot.yaml, and rows of text."""
 
-from textwrap import wrap
-
 from gms_flex_control import __version__
 from gms_flex_control.discrepancy.describe import angle_scale, named, torque_scale
 from gms_flex_control.discrepancy.residual_views import over_of
@@ -13,7 +11,6 @@ from gms_flex_control.file_io import plain
 from gms_flex_control.schema.files import save_robot
 
 REPORT_FORMAT = 2
-_COMMENT_WIDTH = 90
 _LEAST = 1e-4     # change of a known parameter that is reported
 _TORQUES = ('before', 'retuned', 'after', 'floor')
 _OF_GAP = (*_TORQUES, 'rest_before', 'rest_after', 'free_before', 'free_after', 'free_floor')
@@ -121,8 +118,7 @@ def _comment(result):
                for name, joint, change in result.retuned if abs(change) >= _LEAST]
     if changes:
         lines.append('Known parameters re-tuned: ' + ', '.join(changes) + '.')
-    return '\n'.join(part for line in lines for part in wrap(
-        line, _COMMENT_WIDTH, subsequent_indent='    '))
+    return '\n'.join(lines)
 
 
 def _scales(compared):

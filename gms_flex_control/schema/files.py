@@ -4,6 +4,7 @@
 """ROS parameter files: read with line numbers for messages, written whole or not at all."""
 
 from pathlib import Path
+from textwrap import wrap
 
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.file_io import as_yaml, checked_yaml, write_text
@@ -15,6 +16,7 @@ from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.node_values import limits_from_values
 
 _WRAPPER = 'ros__parameters'
+_COMMENT_WIDTH = 90
 
 
 def read_parameters(path) -> dict:
@@ -130,5 +132,6 @@ def save_values(values: dict, path, *, comment: str = '') -> None:
         for parent in parents:
             branch = branch.setdefault(parent, {})
         branch[leaf] = value
-    header = ''.join(f'# {line}\n' for line in comment.splitlines())
+    header = ''.join(f'# {part}\n' for line in comment.splitlines() for part in wrap(
+        line, _COMMENT_WIDTH, subsequent_indent='    ') or [''])
     write_text(path, header + as_yaml({'/**': {_WRAPPER: tree}}, inline_lists=True))
