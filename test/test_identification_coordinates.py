@@ -3,12 +3,15 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The free numbers of a fit: what they stand for, their derivatives, the presliding curve."""
 
+from types import SimpleNamespace
+
 from gms_flex_control.identification.coordinates import (
     Coordinates,
     MOST_BLOCKS,
     presliding_curve,
     yield_quantiles,
 )
+from gms_flex_control.identification.uncertainty import curve_of, Spread
 from gms_flex_control.simulation.predictor import BLOCKS
 import numpy as np
 import pytest
@@ -81,6 +84,17 @@ def test_the_presliding_curve_is_a_sum_of_springs_up_to_their_share():
                 for x in at]
     np.testing.assert_allclose(presliding_curve(theta, at), expected, rtol=1e-13)
     assert presliding_curve(theta, at)[-1] == pytest.approx(static)
+
+
+def test_the_band_of_the_presliding_curve_is_that_of_its_yields():
+    """Below the first of them the torque goes with 1 / yield, of which 3 % here are known."""
+    coordinates, free = packed('equal blocks')
+    spread = np.zeros(len(free))
+    spread[coordinates.yields] = 0.03
+    _, torque, low, high = curve_of(
+        SimpleNamespace(coordinates=coordinates, free=free, rivals=()),
+        Spread(np.outer(spread, spread), np.ones(len(free))), np.array([1e-5, 5e-5]))
+    np.testing.assert_allclose([torque / low, high / torque], np.exp(1.96 * 0.03), rtol=1e-4)
 
 
 @pytest.mark.parametrize('n_blocks', [1, 2, 4, 8])

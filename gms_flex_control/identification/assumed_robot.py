@@ -37,8 +37,7 @@ from gms_flex_control.params.robot import (
 from gms_flex_control.simulation import plant
 import numpy as np
 
-_TORSION, _SPRING, _LINK, _MOTOR = (int(stage) for stage in (
-    Stage.TORSION, Stage.SPRING, Stage.LINK, Stage.MOTOR))
+_LINK, _MOTOR = int(Stage.LINK), int(Stage.MOTOR)
 _ON_LINK = (Stage.TORSION, Stage.SPRING, Stage.LINK, Stage.MOTOR)
 _WINDOW = 0.05        # of the rates and accelerations that effects look at [s]
 _HELD = 1.9           # samples from one change to the next: the source is slower than the log
@@ -205,23 +204,21 @@ def cleared(recording: Recording, robot: RobotParams) -> Recording:
     return replace(recording, q_link=recording.q_link - link, q_motor=recording.q_motor - motor)
 
 
-def effect_torque(robot: RobotParams, sides: Sequence[str], time, q_link, q_motor, torque,
-                  period: float) -> np.ndarray:
+def effect_torque(robot: RobotParams, time, q_link, q_motor, torque, period: float) -> np.ndarray:
     """
     Return what the effects add to the torque that drives each link (T, n) [N m].
 
-    Means from sample k to k + 1. ``sides`` as of segments.drive_sides; ``time`` (T,) is even,
+    Means from sample k to k + 1. Joints that their motor drives are rigid; ``time`` (T,) is even,
     from the beginning of the recording; angles (T, n), of an absent motor NaN;
     ``torque`` (T, n) of the drive, for effects that look at it.
     """
     acting = [spec for spec in robot.effects if find(spec.name).stage in _ON_LINK]
     if not acting:
         return np.zeros_like(torque)
-    spring = np.array([side == 'spring' for side in sides])
     out = np.empty_like(torque)
     _further_torques(_motion(time, q_link, q_motor, period), np.nan_to_num(torque), time, period,
-                     _constants(robot, acting), spring, _state(robot),
-                     plant.workspace(robot.n_joints), out)
+                     _constants(robot, acting), _state(robot), plant.workspace(robot.n_joints),
+                     out)
     return np.concatenate([0.5 * (out[1:] + out[:-1]), out[-1:]])
 
 
@@ -246,23 +243,21 @@ def _motion(time, q_link, q_motor, period):
 
 
 @compiled
-def _further_torques(motion, torque, time, period, constants, spring, state, work, out):
+def _further_torques(motion, torque, time, period, constants, state, work, out):
     """Write the torques of effects on each link at each sample into ``out`` (T, n)."""
     s, links, effects = work.signals, constants.chain, constants.effects
     for k in range(out.shape[0]):
         plant.take_place(k, motion, torque[k], time[k], state, work)
         for j in range(out.shape[1]):
             out[k, j] = -(links.stiffness[j] * s[j, sig.TORSION]
-                          + links.damping[j] * s[j, sig.TORSION_RATE]) if spring[j] else 0.0
-        effect_table.run_stage(_TORSION, s, state.memory, period, effects)
-        for j in range(out.shape[1]):
-            s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TORSION] + links.damping[j]
-                                * s[j, sig.TORSION_RATE]) if spring[j] else s[j, sig.TORQUE]
-        for stage in (_SPRING, _LINK, _MOTOR):
+                          + links.damping[j] * s[j, sig.TORSION_RATE]
+                          ) if links.flexible[j] else 0.0
+        plant.springs(state, period, constants, work)
+        for stage in (_LINK, _MOTOR):
             effect_table.run_stage(stage, s, state.memory, period, effects)
         for j in range(out.shape[1]):
             out[k, j] += s[j, sig.LINK_TORQUE] + (
-                s[j, sig.SPRING] if spring[j] else s[j, sig.MOTOR_TORQUE])
+                s[j, sig.SPRING] if links.flexible[j] else s[j, sig.MOTOR_TORQUE])
 
 
 @compiled

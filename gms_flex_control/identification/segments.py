@@ -189,12 +189,13 @@ def _segment(recording, robot, sides, phases, rows, period, even):
     torque = np.stack([
         _spring(recording, robot, j, grid, time, rows, whole[:, j]) if side == 'spring'
         else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
-    torque += effect_torque(robot, sides, grid - recording.time[0], whole,
+    robot = rigid_where(robot, sides)
+    torque += effect_torque(robot, grid - recording.time[0], whole,
                             _motors(recording, grid, time, rows), torque, period)
     known = driven(recording, sides)
     windows = [smoothing_window(period, noise_of(recording.q_link[:, j]), inertia,
                                 np.std(torque[:, j]) if known[j] else np.inf)
-               for j, inertia in enumerate(own_inertias(rigid_where(robot, sides).arm))]
+               for j, inertia in enumerate(own_inertias(robot.arm))]
     smooth = [derivatives(whole[:, j], period, window) for j, window in enumerate(windows)]
     tested, phase = _tested(phases, recording, grid, robot.joints)
     return Segment(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
