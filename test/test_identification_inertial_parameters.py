@@ -11,7 +11,7 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import low_pass, rms
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.arm_estimates import base_estimates
+from gms_flex_control.identification.arm_differences import base_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.inertial_parameters import base_of, link_regressors, sizes_of

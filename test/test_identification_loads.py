@@ -12,7 +12,7 @@ from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.errors import BagError, ConfigError, IdentificationError
-from gms_flex_control.identification.arm_estimates import difference_estimates
+from gms_flex_control.identification.arm_differences import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
 from gms_flex_control.identification.assumed_robot import (
     believed_model,

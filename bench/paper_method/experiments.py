@@ -10,6 +10,7 @@ What a joint does at each sample follows from motion and torque where nobody wro
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from gms_flex_control.data import signal_analysis
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.segments import filled, Segment, torque_at_samples
 from gms_flex_control.params.arm import ArmParams
@@ -173,8 +174,7 @@ def _bridge(names, longest):
 
 def runs(mask: np.ndarray) -> list[slice]:
     """Return the slices in which a mask (T,) is true."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    return [slice(begin, end) for begin, end in edges.reshape(-1, 2)]
+    return [slice(*ends) for ends in signal_analysis.runs(mask)]
 
 
 def _named(segment, joint, phase):

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import quantum
+from gms_flex_control.data.signal_analysis import quantum, runs
 from gms_flex_control.file_io import plain
 import numpy as np
 
@@ -274,10 +274,8 @@ def hold_windows(time, q_ref) -> list[slice]:
     For each part of constant reference (T,) [rad] longer than ``HOLD_SETTLING``: what follows the
     settling, at most the last ``HOLD_WINDOW`` of it.
     """
-    still = np.abs(np.diff(q_ref)) <= HOLD_TOLERANCE
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
     windows = []
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
+    for first, last in runs(np.abs(np.diff(q_ref)) <= HOLD_TOLERANCE):
         begin = max(time[first] + HOLD_SETTLING, time[last] - HOLD_WINDOW)
         start = int(np.searchsorted(time, begin - 1e-9))
         if last > start:

@@ -22,14 +22,13 @@ from pathlib import Path
 from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.file_io import checked_yaml, read_map, write_text
-from gms_flex_control.params.arm import Body, require_body, together
+from gms_flex_control.params.arm import Body, POINT, require_body, together
 import numpy as np
 
 NAME = 'recording.yaml'
 UNKNOWN = 'unknown'
 KEYS = ('load', 'temperature', 'torque_constant', 'coupling')
 OF_ROBOT = ('load', 'temperature')  # and not of how its efforts are recorded
-_POINT = 1e-9  # of mass times length squared: inertia of a load that is next to a point
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,7 +185,7 @@ def _load(node):
         raise node.wrong(f'is {mass:g} kg; give 0 for no load, or a mass above 0', 'mass')
     if mass == 0.0:
         return None
-    point = _POINT * mass
+    point = POINT * mass
     xx, xy, xz, yy, yz, zz = node.numbers('inertia', (point, 0.0, 0.0, point, 0.0, point))
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     try:

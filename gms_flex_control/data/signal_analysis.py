@@ -16,6 +16,7 @@ MOVING = 0.02        # below this part of the top speed a direction is not relie
 _ORDER_STEPS = 20    # resolution steps a derivative window should travel at top speed
 _SHORTEST, _LONGEST = 0.1, 1.0  # of a derivative window [s]
 _BLOCK = 0.25        # in which a speed is looked for [s]
+NORMAL_MEDIAN = 0.6745  # of the size of a normal variable, in standard deviations
 
 
 class Derivatives(NamedTuple):
@@ -41,6 +42,12 @@ def quantum(values) -> float:
     steps = np.abs(np.diff(known))
     steps = steps[steps > 1e-9 * np.ptp(known)] if known.size else steps
     return float(steps.min()) if steps.size else 0.0
+
+
+def runs(where: np.ndarray) -> np.ndarray:
+    """Return begin and end (R, 2) of each run in which a mask (T,) is true, ends left out."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8))
+                          ).reshape(-1, 2)
 
 
 def derivative_window(time, position) -> float:
@@ -244,15 +251,24 @@ def smoothing_window(period: float, noise: float, inertia: float, torque: float)
     allowed = max(_TORQUE_NOISE * torque, 1e-300)
     length = (_CUBIC_NOISE * noise * inertia / allowed / period ** 2) ** 0.4
     length = np.clip(length, _SHORTEST_CUBIC / period, _LONGEST_CUBIC / period)
-    return max(2 * round(length / 2) + 1, 5)
+    return odd_window(length)
+
+
+def odd_window(length: float, least: int = 5) -> int:
+    """Return an odd number of samples near a length, ``least`` at least."""
+    return max(2 * round(length / 2) + 1, least)
+
+
+def white_noise_of(signal: np.ndarray) -> float:
+    """Return the standard deviation of the white noise of a smooth signal (T,); few jumps pass."""
+    return float(np.nanmedian(np.abs(np.diff(signal, 3)))) / np.sqrt(20.0) / NORMAL_MEDIAN
 
 
 def noise_of(angle: np.ndarray) -> float:
     """Return the standard deviation of an angle's noise (T,), rounding included [rad]."""
     known = angle[np.isfinite(angle)]
     spread = float(np.std(np.diff(known, 3))) / np.sqrt(20.0)
-    robust = float(np.median(np.abs(np.diff(known, 3)))) / np.sqrt(20.0) / 0.6745
-    return max(min(spread, quantum(known) / np.sqrt(12.0)), robust, 1e-12)
+    return max(min(spread, quantum(known) / np.sqrt(12.0)), white_noise_of(known), 1e-12)
 
 
 def low_pass(values: np.ndarray, window: int) -> np.ndarray:

@@ -31,7 +31,6 @@ _PER_WAVE = 12        # samples of a period of the highest harmonic, for the sea
 _KEPT = 0.94          # of a limit, for the search
 _PENALTY = 300.0      # of a squared excess over that, relative to the limit
 _SIZE = 0.1           # worth of larger columns beside a smaller condition number
-_STEP = 1e-6          # of the derivatives of the cost
 _ITERATIONS = 40      # of each start
 _STARTS = 2
 _DENSE = 2e-3         # between samples that are checked [s]
@@ -137,7 +136,7 @@ def plan_excitation(robot: RobotParams, bounds: Bounds, *, period: float = 10.0,
         say(f'search {k + 1} of {_STARTS}')
         begin = problem.start(rng)
         found = minimize(problem.cost, begin, method='L-BFGS-B',
-                         options={'maxiter': _ITERATIONS, 'maxfun': np.inf, 'eps': _STEP})
+                         options={'maxiter': _ITERATIONS, 'maxfun': np.inf})
         if best is None or found.fun < best.fun:
             best = found
     return problem.within(best.x, repeats)

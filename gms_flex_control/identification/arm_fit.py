@@ -14,8 +14,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.effects.catalogue.link import ConstantLinkTorque
-from gms_flex_control.identification.arm_differences import Differences
-from gms_flex_control.identification.arm_estimates import base_estimates, load_estimate
+from gms_flex_control.identification.arm_differences import (
+    base_estimates,
+    Differences,
+    load_estimate,
+)
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.axis_fit import (
     fit_axis_with_ripple,
@@ -25,11 +28,10 @@ from gms_flex_control.identification.axis_fit import (
     rows_of,
     SKEWED,
     spring_torque,
-    STANDARD_GRAVITY,
 )
-from gms_flex_control.identification.outcome import CONFIDENT, estimated
+from gms_flex_control.identification.outcome import CONFIDENT, estimated, WIDE
 from gms_flex_control.identification.segments import filled, friction_by_load, Segment
-from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.arm import ArmParams, STANDARD_GRAVITY
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 import numpy as np
 
@@ -37,7 +39,6 @@ CONSTANT = ConstantLinkTorque.name
 _LIGHT = 0.05       # of the torque, taken by an inertia that is not identifiable
 _ERRORS, _PART = 5.0, 0.1  # of the regression, and of the number: unit of a correction
 _SLIGHT = 0.1      # of the torque: an inertia that needs less is not to be believed
-_WIDE = 0.5         # half an interval this large a part of the value says nothing
 _NEEDS_INERTIA = 'faster changes of speed identify it'
 _NEEDS_GRAVITY = 'motion over a wider range of angles identifies it'
 _NEEDS_MOTOR = ('a motion that makes the motor swing against the link identifies it, both '
@@ -286,7 +287,7 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
                          'of the link held level: mass com '
                          'gravity; mass and com apart are not identifiable', _NEEDS_GRAVITY))
         error = float(np.sqrt(turn @ spreads @ turn))
-        known = error < _WIDE
+        known = error < WIDE
         rows.append(estimated(f'{name}.offset', 'rad', angle, error,
                               '' if known else _NEEDS_GRAVITY, known))
     ripple, of_ripple = arm_fit.ripples[joint], f'effects.{robot.joints[joint]}.{RIPPLE}'
@@ -305,7 +306,7 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
 
 
 def _row(name, unit, value, error, meaning, needs):
-    known = CONFIDENT * error < _WIDE * abs(value) and (value > 0.0 or 'bias' in name)
+    known = CONFIDENT * error < WIDE * abs(value) and (value > 0.0 or 'bias' in name)
     return estimated(name, unit, value, error, meaning if known else needs, bool(known))
 
 

@@ -21,6 +21,7 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_differences import (
     alike,
+    BaseFit,
     Coupled,
     Differences,
     found_load,
@@ -29,7 +30,6 @@ from gms_flex_control.identification.arm_differences import (
     temperatures_of,
     Unknowns,
 )
-from gms_flex_control.identification.arm_estimates import BaseFit
 from gms_flex_control.identification.arm_rows import described_scales, rows_of
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,

@@ -17,7 +17,7 @@ import warnings
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import derivatives
+from gms_flex_control.data.signal_analysis import derivatives, odd_window
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Change, Stage
@@ -232,7 +232,7 @@ def _state(robot):
 
 def _motion(time, q_link, q_motor, period):
     """Return angle, rate and acceleration of links, then motors, shape (T, 6, n)."""
-    columns, window = [], max(2 * round(_WINDOW / period / 2) + 1, 5)
+    columns, window = [], odd_window(_WINDOW / period)
     for link, motor in zip(q_link.T, q_motor.T, strict=True):
         for angle in (link, motor if np.isfinite(motor).any() else link):
             known = np.isfinite(angle)

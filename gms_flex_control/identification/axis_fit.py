@@ -33,16 +33,14 @@ from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.outcome import CONFIDENT
 from gms_flex_control.identification.prediction_error import FEWEST_WAVES
-from gms_flex_control.identification.robust_regression import held_out_error, solution
+from gms_flex_control.identification.robust_regression import held_out_error, SLOWEST, solution
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
 RIPPLE = TorqueRipple.name
 SKEWED = 0.3       # part of the deflection's torque that goes with the velocity, at most
 _FEWEST = 60       # moving rows
-_SLOWEST = 0.05    # of the usual speed: below this a row does not count as moving
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there, or if cancelled
@@ -185,7 +183,7 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     ``joint`` and ``source`` are for messages. Raises IdentificationError if the axis hardly moves.
     """
     usual = float(np.sqrt(np.mean(rows.rate ** 2)))
-    moving = np.abs(rows.rate) > _SLOWEST * usual
+    moving = np.abs(rows.rate) > SLOWEST * usual
     if moving.sum() < _FEWEST:
         raise IdentificationError(f'{source}: {joint} moves in {moving.sum()} samples only; '
                                   'record longer motion to identify its inertia')

@@ -12,7 +12,7 @@ import warnings
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.errors import IdentificationError, own_warnings
 from gms_flex_control.friction import steady_friction
-from gms_flex_control.identification.arm_estimates import difference_estimates
+from gms_flex_control.identification.arm_differences import difference_estimates
 from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.arm_regression import fit_differences
 from gms_flex_control.identification.assumed_robot import (

@@ -19,7 +19,7 @@ from typing import NamedTuple
 from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.dynamics import vectors as vec
-from gms_flex_control.params.arm import ArmParams, Body, in_space, inertia_of
+from gms_flex_control.params.arm import ArmParams, Body, in_space, inertia_of, POINT
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares, nnls
@@ -31,7 +31,6 @@ MOTOR = 'motor_inertia'
 _POSES = 200        # of random motion, more than enough for the rank
 _SAME = 1e-8        # of the largest diagonal element of R: rank
 _SLIGHT = 1e-6      # of a coefficient that is not worth a word
-_POINT = 1e-9       # of mass times length squared: next to a point [m^2]
 IN_PLANE = (0, 1, 9)  # of ten numbers: mass, centre of mass along the link, inertia about z
 _STEP = 1e-4        # of a number, for a derivative
 _DETERMINED = 0.5   # of a prior standard deviation: above it the data leave a number open
@@ -316,7 +315,7 @@ def body_of(parameters: np.ndarray) -> Body:
     """
     mass, com = parameters[0], parameters[1:4] / parameters[0]
     second = _pseudo_inertia(parameters)[:3, :3] - mass * np.outer(com, com)
-    return Body(float(mass), com, inertia_of(second, _POINT * mass))
+    return Body(float(mass), com, inertia_of(second, POINT * mass))
 
 
 def _pseudo_inertia(parameters):

@@ -25,9 +25,8 @@ from gms_flex_control.identification.friction_map import Start
 from gms_flex_control.identification.least_squares import prior_of, refine, total_cost
 from gms_flex_control.identification.objective import Bundle, coarser, Objective, train
 from gms_flex_control.identification.selection import CANDIDATES, fit_again, fit_joint, JointFit
+from gms_flex_control.identification.uncertainty import widening
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
 COARSE = 4e-3         # sample that is fine enough to find the way [s]
 # of multi-starts in turn, samples [s] and the factor on the observer's bandwidth: with coarse
@@ -47,7 +46,6 @@ _BLOCKS, _FINE = 0.05, 0.12  # of attraction and yields; more of those within fe
 _WIDE = 0.3           # of those together, every other time
 _FEW_COUNTS = 1.5
 _GOOD = 1.15          # times the lowest cost: as good an explanation
-_UPPER = 0.975        # of a 95 % interval
 
 
 def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, *, blocks=CANDIDATES,
@@ -201,8 +199,8 @@ def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence
     ordered = [_in_order(coordinates, end.free) for end in ends]
     good = [free for free, end in zip(ordered, ends, strict=True)
             if _cost_above(end, floor, prior) <= _GOOD * lowest]
-    few = student.ppf(_UPPER, max(len(good) - 1, 2)) / norm.ppf(_UPPER)  # so few say little
-    scatter = few * np.sqrt(np.mean(np.square(np.array(good) - good[0]), axis=0))
+    scatter = widening(max(len(good) - 1, 2)) * np.sqrt(np.mean(
+        np.square(np.array(good) - good[0]), axis=0))
     gain = total_cost(replace(begin, floor=floor), starts[0], prior) / lowest
     return MultiStart(tuple(ordered[:KEPT]), scatter, gain)
 

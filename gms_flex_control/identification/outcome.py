@@ -17,9 +17,10 @@ DOUBTFUL = 'doubtful'
 SET = 'set, not fitted'
 STANDINGS = ('well known', 'roughly known', DOUBTFUL, NOT_IDENTIFIABLE, SET)
 WELL_KNOWN = 0.1      # half of the 95 % interval over the value, at most
+WIDE = 0.5            # half an interval this large a part of the value says nothing
 _UNEXPLAINED = 0.5    # of the drive torque: beyond, nothing is to be trusted
 _ENDLESS = 1e6       # upper end over lower end of an interval that says nothing
-_AT_FLOOR = 1.3       # error over floor that counts as the floor itself
+AT_FLOOR = 1.3       # error over floor that counts as the floor itself
 
 
 class Interval(NamedTuple):
@@ -247,7 +248,7 @@ def _floor(errors):
     best = np.fmax(noise, repeat)
     if np.isfinite(best):
         text += (': the model is as good as these data allow'
-                 if errors.relative <= _AT_FLOOR * best else
+                 if errors.relative <= AT_FLOOR * best else
                  ': the rest is due to the model, or to motion too quick for these samples')
     return f'{text[0].upper()}{text[1:]}.'
 

@@ -11,7 +11,7 @@ What the model leaves may go with the motion of other axes: then a sentence says
 
 from collections.abc import Callable, Sequence
 
-from gms_flex_control.data.signal_analysis import low_pass, low_pass_bandwidth, rms
+from gms_flex_control.data.signal_analysis import low_pass, low_pass_bandwidth, rms, runs
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.friction_map import friction_torque
@@ -184,8 +184,7 @@ def _presliding_parts(segment, joint, static, torque, period):
         width = max(round(_SHORTEST / period), 1)
         loaded = np.convolve(np.abs(torque) > _LOADED * static, np.ones(width), 'same') > 0.5
         inside = ~loaded
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(np.int8), [0]])))
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+    for begin, end in runs(inside):
         if (end - begin) * period >= _SHORTEST:
             yield slice(begin, end)
 

@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Sequence
 
+from gms_flex_control.data.signal_analysis import NORMAL_MEDIAN
 from gms_flex_control.identification.uncertainty import (
     block_sums,
     clustered,
@@ -17,7 +18,7 @@ _HUBER = 1.5       # residuals beyond this many standard deviations count less
 _ROUNDS = 8
 _OWN_SCALE = 50    # rows from which a group has a scale of its own: its median is within 15 %
 _FOLDS = 5
-_SLOWEST = 0.05    # of the usual rate: below this a joint does not move
+SLOWEST = 0.05    # of the usual rate: below this a joint does not move
 _SAME = 1e-9       # of the largest singular value: no column of its own
 
 
@@ -44,7 +45,7 @@ def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = N
 
 
 def _scale(off):
-    return max(float(np.median(off)) / 0.6745, 1e-300) if len(off) else 1.0
+    return max(float(np.median(off)) / NORMAL_MEDIAN, 1e-300) if len(off) else 1.0
 
 
 def _scales(off, group):
@@ -168,7 +169,7 @@ def weighting_of(regressors, torque, rate, friction: Callable, group=None) -> li
     """
     found = []
     for j in range(torque.shape[1]):
-        rows = np.abs(rate[:, j]) > _SLOWEST * np.sqrt(np.mean(rate[:, j] ** 2))
+        rows = np.abs(rate[:, j]) > SLOWEST * np.sqrt(np.mean(rate[:, j] ** 2))
         own = friction(j, rows)
         both = np.concatenate([regressors[rows, j], own], axis=1)
         weights, scale = min((robust(

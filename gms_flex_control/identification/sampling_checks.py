@@ -8,7 +8,9 @@ from gms_flex_control.data.signal_analysis import (
     derivative_slope,
     derivative_window,
     is_moving,
+    NORMAL_MEDIAN,
     quantum,
+    runs,
     smoothed,
 )
 from gms_flex_control.identification import check_basis as limits
@@ -105,10 +107,9 @@ def _holes(signals, joint, name, values, needed):
             '; what it alone shows is lost: record it as well'))
     elif share >= limits.MISSING_WARN or lost.size > limits.MISSING_MOST:
         severity = 'refuse' if share > limits.MISSING_REFUSE else 'warn'
-        runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], ~np.isfinite(values), [0]]))))
         text = (f'the {name} of {joint} is no number in {lost.size} samples '
-                f'({100 * share:.2g} %), {int(runs[::2].max())} in a row, first at '
-                f'{signals.time[lost[0]]:.3f} s; leave that part out')
+                f'({100 * share:.2g} %), {np.diff(runs(~np.isfinite(values))).max()} in a row, '
+                f'first at {signals.time[lost[0]]:.3f} s; leave that part out')
     else:
         return
     yield Finding('missing', joint, severity, f'{signals.source}: {text}')
@@ -199,8 +200,8 @@ def broken(signals: Recording) -> list[Finding]:
         for side, q, _ in sides(signals, j):
             top, unit = signals.period * _top_speed(signals.time, q), quantum(q)
             grain = max(unit, 3 * _noise(q))
-            runs = _while_moving(q, _runs(np.diff(q) == 0), max(3 * grain, 0.05 * top))
-            found += _frozen(signals, joint, f'the {side} angle of {joint} stays', runs)
+            held = _while_moving(q, np.diff(q) == 0, max(3 * grain, 0.05 * top))
+            found += _frozen(signals, joint, f'the {side} angle of {joint} stays', held)
             found += _jumps(signals, joint, side, q, unit)
     return found
 
@@ -218,34 +219,33 @@ def _noise(q):
     """Return about the standard deviation of the noise of an angle (T,)."""
     bends = np.abs(np.diff(q, 2))
     bends = bends[np.isfinite(bends)]
-    return float(np.median(bends)) / (0.6745 * np.sqrt(6)) if bends.size else 0.0
+    return float(np.median(bends)) / (NORMAL_MEDIAN * np.sqrt(6)) if bends.size else 0.0
 
 
-def _runs(equal):
-    """Return (first, last) sample of each run (R, 2) of samples equal to the one before."""
-    edges = np.diff(np.concatenate([[False], equal, [False]]).astype(np.int8))
-    return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)], axis=1)
+def _while_moving(q, equal, step):
+    """
+    Return first and last sample (R, 2) of runs that are ``equal`` (T - 1,) to the sample before.
 
-
-def _while_moving(q, runs, step):
-    """Return the runs on both sides of which the angle moves one way by ``step`` a sample."""
-    runs = runs[(runs[:, 0] >= _BESIDE) & (runs[:, 1] + _BESIDE < len(q))]
-    before = (q[runs[:, 0]] - q[runs[:, 0] - _BESIDE]) / _BESIDE
-    after = (q[runs[:, 1] + _BESIDE] - q[runs[:, 1]]) / _BESIDE
-    last, following = (q[runs[:, 0]] - q[runs[:, 0] - 1], q[runs[:, 1] + 1] - q[runs[:, 1]])
+    Of those on both sides of which the angle moves one way by ``step`` a sample.
+    """
+    found = runs(equal)
+    first, end = found[(found[:, 0] >= _BESIDE) & (found[:, 1] + _BESIDE < len(q))].T
+    before = (q[first] - q[first - _BESIDE]) / _BESIDE
+    after = (q[end + _BESIDE] - q[end]) / _BESIDE
+    last, following = q[first] - q[first - 1], q[end + 1] - q[end]
     same_way = (before * after > 0) & (before * last > 0) & (before * following > 0)
     moving = (np.minimum(np.abs(before), np.abs(after)) > step) & same_way
     # a joint that comes to rest and starts again has slow samples on both sides
     abrupt = np.maximum(np.abs(last), np.abs(following)) > 0.5 * np.abs(before)
-    return runs[moving & abrupt]
+    return np.stack([first, end], axis=1)[moving & abrupt]
 
 
-def _frozen(signals, joint, what, runs):
-    count = int(np.sum(runs[:, 1] - runs[:, 0]))
+def _frozen(signals, joint, what, found):
+    count = int(np.sum(found[:, 1] - found[:, 0]))
     share = count / len(signals.time)
     if count < limits.FROZEN or share < limits.FROZEN_WARN:
         return
-    longest = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    longest = found[np.argmax(found[:, 1] - found[:, 0])]
     span = signals.time[longest[1]] - signals.time[longest[0]]
     yield Finding('frozen', joint, 'refuse' if share > limits.FROZEN_REFUSE else 'warn',
                   f'{signals.source}: {what} the same in {count} samples ({100 * share:.2g} %) '

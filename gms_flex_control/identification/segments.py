@@ -13,8 +13,10 @@ from gms_flex_control.data.signal_analysis import (
     derivatives,
     means_held,
     noise_of,
+    odd_window,
     quantum,
     smoothing_window,
+    white_noise_of,
 )
 from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices, matrices
 from gms_flex_control.errors import IdentificationError
@@ -111,7 +113,7 @@ def _spring_mismatch(recording, robot, j):
     tau = np.interp(grid, time - 0.5 * period, recording.tau_motor[known, j])
     inertia = max(robot.arm.motor_inertia[j], robot.arm.stiffness[j] * period ** 2)
     window = max(smoothing_window(period, noise_of(q_motor), inertia, np.std(tau)),
-                 2 * round(_AGREE_WINDOW / period / 2) + 1)
+                 odd_window(_AGREE_WINDOW / period))
     smooth = [derivatives(x, period, window) for x in (q_link, q_motor, tau)]
     spring = robot.arm.stiffness[j] * (smooth[1][0] - smooth[0][0]) + robot.arm.damping[j] * (
         smooth[1][1] - smooth[0][1])
@@ -286,7 +288,7 @@ def _spring(recording, robot, j, grid, time, rows, q_link):
         period = grid[1] - grid[0]
         torsion = q_motor - q_link
         torque = torque + robot.arm.damping[j] * derivatives(
-            torsion, period, max(2 * round(_DAMPING_WINDOW / period / 2) + 1, 5))[1]
+            torsion, period, odd_window(_DAMPING_WINDOW / period))[1]
     return np.append(0.5 * (torque[1:] + torque[:-1]), torque[-1])
 
 
@@ -332,8 +334,7 @@ def resolution(segments: Sequence[Segment], joint: int, count: float) -> float:
     """Return the encoder step, or three times the noise where there is no step [rad]."""
     if count > 0.0:
         return count
-    noise = [np.nanmedian(np.abs(np.diff(segment.angle[:, joint], 3))) / np.sqrt(20.0) / 0.6745
-             for segment in segments]
+    noise = [white_noise_of(segment.angle[:, joint]) for segment in segments]
     return max(3.0 * float(np.nanmedian(noise)), 1e-9)
 
 

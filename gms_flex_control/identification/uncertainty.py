@@ -35,9 +35,9 @@ from gms_flex_control.identification.outcome import (
 )
 from gms_flex_control.simulation.predictor import BLOCKS, PER_DIRECTION, VELOCITY
 import numpy as np
+from scipy.special import ndtr
 from scipy.stats import t as student
 
-_UPPER = 0.975          # of a 95 % interval
 _VAGUE = np.log(2.0)    # half an interval this wide in the logarithm says nothing
 _NOTHING = 2e-3         # of the friction level: a part this small is at its bound
 _BEYOND = 3.0           # times the reach of presliding: a block that slips later is not counted
@@ -96,6 +96,11 @@ def torque_spread(error, coordinates: Coordinates, free: np.ndarray, prior) -> S
     return Spread(clustered(inverse, scores, 1.0), determined)
 
 
+def widening(freedom: int) -> float:
+    """Return how much wider a 95 % interval is where so few degrees of freedom give its size."""
+    return float(student.ppf(ndtr(CONFIDENT), freedom)) / CONFIDENT
+
+
 def block_sums(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
     """Return the sums (B, P) of rows (S, P) of each block of time, ``block`` (S,) its number."""
     return np.stack([np.bincount(block, weights=column) for column in rows.T], axis=1)
@@ -111,7 +116,7 @@ def clustered(inverse: np.ndarray, scores: np.ndarray, dispersion: float) -> np.
     distribution for that many blocks requires.
     """
     off, blocks = scores - scores.mean(axis=0), max(len(scores), 2)
-    few = blocks / (blocks - 1) * (student.ppf(_UPPER, blocks - 1) / CONFIDENT) ** 2
+    few = blocks / (blocks - 1) * widening(blocks - 1) ** 2
     half, alike = off @ inverse, dispersion * inverse
     sandwich = few * half.T @ half + 1e-12 * alike  # never singular
     least = np.maximum(np.diag(alike), 0.0)

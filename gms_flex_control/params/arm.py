@@ -23,13 +23,14 @@ import numpy as np
 
 KINDS = ('planar', 'decoupled', 'urdf')
 AXES = ('rotary', 'linear')
+STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
 # of linear axes in what is printed
 _OF_LINEAR = ((r'\bkg m\^2', 'kg'), (r'\b([mk]?N) m\b', r'\1'), (r'\bmrad\b', 'mm'),
               (r'\brad\b', 'm'))
 # of axes whose efforts are currents of unknown torque constant, after these
 _OF_CURRENT = ((r'\bkg m\^2', 'A s^2/rad'), (r'\bkg\b', 'A s^2/m'), (r'\bmN( m)?\b', 'mA'),
                (r'\bkN( m)?\b', 'kA'), (r'\bN( m)?\b', 'A'))
-_POINT = 1e-9     # of a mass, and of an inertia, that is next to none [kg], [kg m^2]
+POINT = 1e-9      # next to none: of a mass [kg], of an inertia [kg m^2], and of one per mass [m^2]
 _ROUNDING = 1e-3  # of a principal moment of inertia: files round their numbers
 _CAD = 0.1        # of it: files of makers violate the triangle inequality by so much
 _NO_BODY = 'no body has one above the sum of the other two'
@@ -184,9 +185,9 @@ def in_space(arm: ArmParams) -> ArmParams:
         rotation=np.tile(np.eye(3), (n, 1, 1)), prismatic=np.zeros(n),
         position=np.outer(np.append(0.0, arm.length[:-1]), along), lower=-everywhere,
         upper=everywhere, velocity=everywhere, effort=everywhere)
-    about_z = np.maximum(arm.inertia, _POINT)
+    about_z = np.maximum(arm.inertia, POINT)
     return replace(arm, kind='urdf', frames=frames, length=np.zeros(n), com=np.outer(
-        arm.com, along), mass=np.maximum(arm.mass, _POINT), gravity=np.append(arm.gravity, 0.0),
+        arm.com, along), mass=np.maximum(arm.mass, POINT), gravity=np.append(arm.gravity, 0.0),
         inertia=about_z[:, None, None] * np.diag([0.5, 0.5, 1.0]))
 
 

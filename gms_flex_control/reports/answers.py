@@ -19,7 +19,6 @@ COLUMNS = (WITHOUT, WITH, 'noise floor')
 _KNOWN = ('well known', 'roughly known')
 _WIDTH = 98           # of text
 _LONGEST_NAME = 22    # of a joint in text
-_AT_FLOOR = 1.3       # error over floor that counts as the floor itself
 
 _CHANGED = 0.02       # share of an error that is worth a word
 
@@ -215,7 +214,7 @@ def _lacking(result):
 
 def _complete(gap):
     floor = 'the noise floor, which encoders and torque noise alone produce.'
-    if all(_total(after) <= _AT_FLOOR * _total(least) for after, least in (
+    if all(_total(after) <= outcome.AT_FLOOR * _total(least) for after, least in (
             (gap.after, gap.floor), (gap.free_after, gap.free_floor))):
         return ('Nothing that matters is missing: on held-out data the error of the model does '
                 f'not exceed {floor}')
@@ -231,9 +230,9 @@ def _change(name, without, found, floor):
     """Return an error's name, how it changes in words, and whether it shrinks to its floor."""
     before, after, least = map(_total, (without, found, floor))
     share = 1.0 - after / before
-    if share < _CHANGED and max(before, after) <= _AT_FLOOR * least:
+    if share < _CHANGED and max(before, after) <= outcome.AT_FLOOR * least:
         return name, f'{name} is at its noise floor either way', False
     if abs(share) < _CHANGED:
         return name, f'{name} stays as it is', False
     return (name, f'{name} {"shrinks" if share > 0.0 else "grows"} by {100.0 * abs(share):.0f} %',
-            share > 0.0 and after <= _AT_FLOOR * least)
+            share > 0.0 and after <= outcome.AT_FLOOR * least)

@@ -20,7 +20,7 @@ from gms_flex_control.params.robot import (
     StribeckParams,
     WEIGHT_TOLERANCE,
 )
-from gms_flex_control.schema.keys import controller_keys, known_keys, robot_keys, STANDARD_GRAVITY
+from gms_flex_control.schema.keys import controller_keys, DOWN, known_keys, robot_keys
 from gms_flex_control.schema.urdf_arm import read_links
 import numpy as np
 
@@ -140,7 +140,7 @@ def _links(flat, joints):
         refusal = f"goes with arm.kind urdf, this is {flat['arm.kind']}"
         _refuse_given(flat, usual | dict.fromkeys(('arm.urdf', 'arm.base', 'arm.tip'), ''),
                       refusal)
-        _refuse_given(flat, {'arm.gravity_vector': STANDARD_GRAVITY},
+        _refuse_given(flat, {'arm.gravity_vector': DOWN},
                       f'{refusal}: give arm.gravity')
         return {'gravity': flat['arm.gravity']}
     _refuse_given(flat, {'arm.gravity': 0.0}, 'does not go with arm.kind urdf: give '

@@ -9,7 +9,7 @@ from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.hardware.limits import Limits, UNLIMITED
 from gms_flex_control.hardware.mapping import Reading
-from gms_flex_control.params.arm import ArmParams, AXES, KINDS
+from gms_flex_control.params.arm import ArmParams, AXES, KINDS, STANDARD_GRAVITY
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
 from gms_flex_control.params.key import below, Key, keys_of, LARGEST_STATE, SMALLEST
 from gms_flex_control.params.robot import (
@@ -226,7 +226,7 @@ def _of_each(joints, prefix, keys):
     return tuple(key for joint in joints for key in below(f'{prefix}.{joint}', keys))
 
 
-STANDARD_GRAVITY = (0.0, 0.0, -9.80665)  # conventional value (3rd CGPM, 1901) [m/s^2]
+DOWN = (0.0, 0.0, -STANDARD_GRAVITY)  # gravity where the base is level [m/s^2]
 _PER_JOINT = ('arm', 'friction', 'gains', 'identification', 'limits', 'mapping', 'trajectory')
 
 # of each joint, below arm.<joint>, of a URDF
@@ -245,7 +245,7 @@ _ROBOT = (
     Key('arm.axes', 'whether decoupled axes turn or slide', default='rotary', choices=AXES),
     Key('arm.gravity', 'gravity along -y of the plane; 0 if it is horizontal', 'm/s^2', 0.0),
     Key('arm.gravity_vector', 'gravity x, y, z in the frame of the base, of kind urdf', 'm/s^2',
-        STANDARD_GRAVITY),
+        DOWN),
     Key('arm.urdf', 'URDF file with the links, relative to the robot file', default=''),
     Key('arm.base', 'link of the URDF where the chain begins; default: the root', default=''),
     Key('arm.tip', 'link of the URDF where the chain ends; what moves beyond or beside it is '

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Guess, linear, Parameter, Stage, Term, wave
 from gms_flex_control.effects.signals import LINK_TORQUE, Q_LINK
-from gms_flex_control.params.arm import Body, carrying
+from gms_flex_control.params.arm import Body, carrying, STANDARD_GRAVITY
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -57,9 +57,6 @@ class TipPayload(Change):
             return robot
         payload = Body(values[0], np.zeros(3), np.zeros((3, 3)))
         return replace(robot, arm=carrying(robot.arm, payload))
-
-
-STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
 
 
 class GravityTilt(Change):
