@@ -240,6 +240,11 @@ def means_held(values: np.ndarray, ends: np.ndarray, edges: np.ndarray) -> np.nd
     return (np.diff(impulse, axis=0).T / np.diff(edges)).T
 
 
+def means_to_next(values: np.ndarray) -> np.ndarray:
+    """Return the means (T, ...) of each sample and the next, the last one as it is."""
+    return np.concatenate([0.5 * (values[1:] + values[:-1]), values[-1:]])
+
+
 def smoothing_window(period: float, noise: float, inertia: float, torque: float) -> int:
     """
     Return the samples of a window behind which the acceleration's noise is a small torque.

@@ -17,7 +17,7 @@ import warnings
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import derivatives, odd_window
+from gms_flex_control.data.signal_analysis import derivatives, means_to_next, odd_window
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Change, Stage
@@ -219,7 +219,7 @@ def effect_torque(robot: RobotParams, time, q_link, q_motor, torque, period: flo
     _further_torques(_motion(time, q_link, q_motor, period), np.nan_to_num(torque), time, period,
                      _constants(robot, acting), _state(robot), plant.workspace(robot.n_joints),
                      out)
-    return np.concatenate([0.5 * (out[1:] + out[:-1]), out[-1:]])
+    return means_to_next(out)
 
 
 def _constants(robot, effects):

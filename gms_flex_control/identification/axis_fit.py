@@ -27,7 +27,12 @@ damping.
 from collections.abc import Callable, Generator, Sequence
 from typing import NamedTuple
 
-from gms_flex_control.data.signal_analysis import derivative_window, smoothed, standing_out
+from gms_flex_control.data.signal_analysis import (
+    derivative_window,
+    means_to_next,
+    smoothed,
+    standing_out,
+)
 from gms_flex_control.effects.catalogue.motor import TorqueRipple
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.objective import BLOCK_TIME
@@ -143,11 +148,8 @@ def rows_of(recordings: Sequence, drive: Callable, joint: int) -> Rows:
 
 def held_torque(joint: int) -> Callable:
     """Return a function Recording -> motor torque (T,) at the stamps, not over a sample."""
-    def drive(recording):
-        torque = recording.tau_motor[:, joint].copy()
-        torque[:-1] = 0.5 * (torque[:-1] + torque[1:])  # one is of the sample that ended there
-        return torque
-    return drive
+    # one is of the sample that ended there
+    return lambda recording: means_to_next(recording.tau_motor[:, joint])
 
 
 def spring_torque(joint: int, stiffness: float, damping=0.0) -> Callable:

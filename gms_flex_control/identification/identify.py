@@ -23,8 +23,8 @@ from gms_flex_control.identification.assumed_robot import (
     with_load_friction,
     with_torques,
 )
-from gms_flex_control.identification.contest import choose_fit, simple_theta
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS, STATICS
+from gms_flex_control.identification.criterion import choose_fit, simple_theta
 from gms_flex_control.identification.friction_map import (
     friction_map,
     moves,

@@ -12,6 +12,7 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import (
     derivatives,
     means_held,
+    means_to_next,
     noise_of,
     odd_window,
     quantum,
@@ -229,7 +230,7 @@ def one_by_one(pieces: list, robot: RobotParams, loads: Sequence = (),
         taken = torque - inertia * piece.acceleration
         if per_load is not None:
             taken += friction_by_load(piece, torque, per_load)
-        taken[:-1] = 0.5 * (taken[1:] + taken[:-1])  # a mean of the sample, as the drive is
+        taken = means_to_next(taken)  # as the drive is
         return replace(piece, torque=piece.torque - taken, taken=piece.taken + taken)
 
     nothing = np.zeros(n)
@@ -289,7 +290,7 @@ def _spring(recording, robot, j, grid, time, rows, q_link):
         torsion = q_motor - q_link
         torque = torque + robot.arm.damping[j] * derivatives(
             torsion, period, odd_window(_DAMPING_WINDOW / period))[1]
-    return np.append(0.5 * (torque[1:] + torque[:-1]), torque[-1])
+    return means_to_next(torque)
 
 
 def _motor(recording, j, grid, time, rows):

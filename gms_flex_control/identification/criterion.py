@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-What a joint is fitted to: the predictor's innovations, the torque, or simple friction.
+The criterion a joint is fitted by: the predictor's innovations, the torque, or simple friction.
 
 The innovations weigh every moment by how well it is understood, which says the most of an arm
 that is as described. On a machine with forces that nobody has described, few moments are, and
@@ -93,31 +93,31 @@ def choose_fit(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float
 
     ``fits`` are those of all joints by the innovations, ``step`` the encoder step or noise [rad].
     """
-    contest = _contest(bundle, joint, fits, step)
-    usual = contest.wins(contest.by_innovations)
-    if usual and contest.explained():
+    criteria = _criteria_of(bundle, joint, fits, step)
+    usual = criteria.wins(criteria.by_innovations)
+    if usual and criteria.explained():
         return Choice(INNOVATIONS, fits[joint], None)
-    other = contest.wins(contest.by_torque)
-    if usual and not (other and contest.clearly_better()):
+    other = criteria.wins(criteria.by_torque)
+    if usual and not (other and criteria.clearly_better()):
         return Choice(INNOVATIONS, fits[joint], None)
-    return contest.finished(TORQUE if other else SIMPLE)
+    return criteria.finished(TORQUE if other else SIMPLE)
 
 
 def simple_theta(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float,
                  whole: bool) -> np.ndarray:
     """Return the parameters of the simple fit, to all data or without those held out."""
-    contest = _contest(bundle, joint, fits, step)
-    coordinates, free = contest.simple(contest.whole if whole else contest.first)
+    criteria = _criteria_of(bundle, joint, fits, step)
+    coordinates, free = criteria.simple(criteria.whole if whole else criteria.first)
     return coordinates.parameters(free)
 
 
-def _contest(bundle, joint, fits, step):
+def _criteria_of(bundle, joint, fits, step):
     samples = sum(len(segment.angle) for segment in bundle.segments)
     thin = coarser(bundle, min(bundle.period * max(samples // _MOST, 1), _COARSE))
-    return _Contest(thin, joint, [fit.theta for fit in fits], fits[joint], step)
+    return _Criteria(thin, joint, [fit.theta for fit in fits], fits[joint], step)
 
 
-class _Contest:
+class _Criteria:
     """Fits of one joint beside the simple one, ``fit`` by the innovations."""
 
     def __init__(self, bundle, joint, thetas, fit, step):
