@@ -13,7 +13,7 @@ from gms_flex_control.data.signal_analysis import (
     runs,
     smoothed,
 )
-from gms_flex_control.identification import check_basis as limits
+from gms_flex_control.identification import check_limits as limits
 from gms_flex_control.identification.check_basis import Finding, sides
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
