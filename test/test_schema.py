@@ -17,6 +17,7 @@ from gms_flex_control.schema.files import (
     load_robot,
     load_robot_to_identify,
     save_robot,
+    wrapped,
 )
 from gms_flex_control.schema.keys import controller_keys
 import numpy as np
@@ -107,13 +108,15 @@ def test_a_saved_robot_is_read_back_as_it_was(robot, tmp_path):
                EffectSpec(name='gravity_tilt', joint='arm', values=(0.01, 1.0)))
     before = replace(robot, motors=('', 'joint2_motor'), arm=arm, friction=friction,
                      effects=effects)
-    save_robot(before, tmp_path / 'saved.yaml', comment='Found by\n\n' + 12 * 'nine chars ')
+    save_robot(before, tmp_path / 'saved.yaml', comment=wrapped(
+        ['Found by', 12 * 'nine chars ']) + '\nand  a table')
     after = load_robot(tmp_path / 'saved.yaml')
     assert_same(replace(after, effects=()), replace(before, effects=()))
     assert set(after.effects) == set(before.effects)
     text = (tmp_path / 'saved.yaml').read_text(encoding='utf-8')
-    assert text.startswith('# Found by\n# \n# ' + ' '.join(8 * ['nine chars'])
-                           + '\n#     ' + ' '.join(4 * ['nine chars']) + '\n/**:\n')
+    assert text.startswith('# Found by\n# ' + ' '.join(8 * ['nine chars'])
+                           + '\n#     ' + ' '.join(4 * ['nine chars'])
+                           + '\n# and  a table\n/**:\n')
 
 
 def test_whole_numbers_are_taken_for_doubles(tmp_path):

@@ -218,6 +218,9 @@ def test_tune_writes_what_the_controller_loads(tmp_path, axis_file, capsys):
     assert gains.compensation == 'gms' and gains.torque_limit[0] == 2.0
     assert reported['met'] and reported['verify']['draws'] == 3 and not reported['verify']['lost']
     assert (tmp_path / 'a' / 'tuning.png').stat().st_size > 10_000
+    row, = (line for line in (tmp_path / 'a' / 'controller.yaml').read_text().splitlines()
+            if line.startswith('# axis '))
+    assert len(row.split()) == 9, 'the table of margins stands in the file as it is printed'
 
 
 def test_tune_prints_the_error_to_expect_and_that_the_bound_is_none(tmp_path, axis_file, capsys):

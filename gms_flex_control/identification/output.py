@@ -23,7 +23,7 @@ from gms_flex_control.identification.outcome import (
 )
 from gms_flex_control.params.robot import KINDS
 from gms_flex_control.schema.build import robot_values
-from gms_flex_control.schema.files import save_values
+from gms_flex_control.schema.files import save_values, wrapped
 import numpy as np
 
 REPORT_FORMAT = 1
@@ -195,4 +195,4 @@ def _comment(identification):
         lines += [f'  {short_name(estimate.name, result.joint)}: '
                   f"{', '.join(estimate.flags).upper()}; {estimate.note}".rstrip('; ')
                   for estimate in result.estimates if estimate.flags]
-    return '\n'.join(lines)
+    return wrapped(lines)

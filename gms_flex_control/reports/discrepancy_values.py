@@ -8,7 +8,7 @@ from gms_flex_control.discrepancy.describe import angle_scale, named, torque_sca
 from gms_flex_control.discrepancy.residual_views import over_of
 from gms_flex_control.effects.registry import find
 from gms_flex_control.file_io import plain
-from gms_flex_control.schema.files import save_robot
+from gms_flex_control.schema.files import save_robot, wrapped
 
 REPORT_FORMAT = 2
 _LEAST = 1e-4     # change of a known parameter that is reported
@@ -118,7 +118,7 @@ def _comment(result):
                for name, joint, change in result.retuned if abs(change) >= _LEAST]
     if changes:
         lines.append('Known parameters re-tuned: ' + ', '.join(changes) + '.')
-    return '\n'.join(lines)
+    return wrapped(lines)
 
 
 def _scales(compared):

@@ -123,6 +123,12 @@ def save_robot(robot: RobotParams, path, *, comment: str = '') -> None:
     save_values(build.robot_values(robot), path, comment=comment)
 
 
+def wrapped(lines) -> str:
+    """Return sentences (list of str) as the comment of a file, long ones in several lines."""
+    return '\n'.join(part for line in lines for part in wrap(
+        line, _COMMENT_WIDTH, subsequent_indent='    '))
+
+
 def save_values(values: dict, path, *, comment: str = '') -> None:
     """Write flat parameters as a ROS parameter file for any node; see `save_robot`."""
     tree = {}
@@ -132,6 +138,5 @@ def save_values(values: dict, path, *, comment: str = '') -> None:
         for parent in parents:
             branch = branch.setdefault(parent, {})
         branch[leaf] = value
-    header = ''.join(f'# {part}\n' for line in comment.splitlines() for part in wrap(
-        line, _COMMENT_WIDTH, subsequent_indent='    ') or [''])
+    header = ''.join(f'# {line}\n' for line in comment.splitlines())
     write_text(path, header + as_yaml({'/**': {_WRAPPER: tree}}, inline_lists=True))
