@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 import errno
 from io import StringIO
 import json
@@ -22,6 +23,37 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent
 
 LARGEST_YAML = 1_000_000  # bytes; parameters, maps and metadata of bags have some thousands
+# of `written_together`: temporary path -> its final one, and whether the folder was made for it
+_together: ContextVar[dict | None] = ContextVar('together', default=None)
+
+
+@contextmanager
+def written_together() -> Generator[None]:
+    """
+    Let all files that the block writes by `atomic_path` appear when it succeeds, or none.
+
+    A full disk half-way leaves what was there before. Blocks may be nested: the outermost counts.
+    """
+    if _together.get() is not None:
+        yield
+        return
+    written: dict[Path, tuple[Path, bool]] = {}
+    token = _together.set(written)
+    try:
+        yield
+        for temporary, (path, _) in written.items():
+            os.replace(temporary, path)
+    finally:
+        _together.reset(token)
+        _remove(written, {temporary.parent for temporary, (_, made) in written.items() if made})
+
+
+def _remove(temporaries, folders):
+    """Remove temporary files that are still there, then folders that are empty."""
+    for remove, paths in ((Path.unlink, temporaries), (Path.rmdir, folders)):
+        for path in paths:
+            with suppress(OSError):  # what could not be made is not there either
+                remove(path)
 
 
 @contextmanager
@@ -33,12 +65,16 @@ def atomic_path(path) -> Generator[Path]:
     was.
     """
     path = Path(path)
+    made = not path.parent.exists()
     make_folder(path.parent, path)
     # the suffix stays last: writers such as matplotlib choose the format by it
     temporary = path.with_name(f'.{path.stem}.{os.getpid()}{path.suffix}')
     try:
         yield temporary
-        os.replace(temporary, path)
+        if (together := _together.get()) is None:
+            os.replace(temporary, path)
+        else:
+            together[temporary] = path, made
     except OSError as error:
         # one without a name is of the open file, such as that the disk is full
         if error.filename is not None and Path(error.filename) != temporary:
@@ -46,8 +82,8 @@ def atomic_path(path) -> Generator[Path]:
         raise OSError(error.errno, f'cannot be written ({error.strerror})',
                       str(path)) from error
     finally:
-        with suppress(OSError):  # what could not be made is not there either
-            temporary.unlink()
+        if temporary not in (_together.get() or ()):
+            _remove([temporary], [path.parent] * made)
 
 
 def make_folder(folder, path) -> None:

@@ -9,6 +9,7 @@ import json
 import os
 from pathlib import Path
 import re
+import resource
 import shlex
 import signal
 import subprocess
@@ -206,3 +207,21 @@ def test_the_shell_knows_what_may_follow(tmp_path):
         _ARGCOMPLETE='1', _ARGCOMPLETE_STDOUT_FILENAME=str(answer), COMP_LINE=typed,
         COMP_POINT=str(len(typed)), _ARGCOMPLETE_IFS='\n', COMP_TYPE='9'))
     assert 'lugre' in [word.strip() for word in answer.read_text().split('\n')]
+
+
+@pytest.mark.parametrize('verb', ['tune', 'analyse'])
+def test_a_full_disk_leaves_what_was_there_before(verb, tmp_path, capsys):
+    """Files of more than some thousand bytes fail: small ones were there, pictures were not."""
+    out, bag = tmp_path / 'out', tmp_path / 'bag'
+    given = [str(bag)] if verb == 'analyse' else []
+    if verb == 'analyse':
+        assert tool.main(['simulate', '--duration', '1', '--out', str(bag)]) == 0
+    tool.main([verb, *given, '--out', str(tmp_path / 'compiled')])
+    before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (6000, hard))
+    try:
+        code = tool.main([verb, *given, '--out', str(out)])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (before, hard))
+    assert code == 2 and 'File too large' in capsys.readouterr().err
+    assert not out.exists()

@@ -21,7 +21,7 @@ from gms_flex_control.design.separation import beliefs_of, closed_loop_plan, loa
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import simulate_to_bag
-from gms_flex_control.file_io import as_json, write_json
+from gms_flex_control.file_io import as_json, write_json, written_together
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import together
 from gms_flex_control.params.gains import ControllerParams
@@ -102,18 +102,19 @@ def _determine(report, args, out):
             robot, [read_experiment_of(bag, robot)[0] for bag in report['sources']],
             missing_of(report), gains, limits, period=1.0 / args.rate,
             duration=min(args.longest, _DETERMINED), say=say)
-    trajectory, columns = planning.write_plan(plan, out), ('so far', 'then', '')
-    files = {'motion': trajectory, 'numbers': out / 'plan.json'}
-    experiments = plan.experiments and plan.experiments.sentence()
-    if plan.experiments is not None and plan.experiments.measured:
-        files['experiments'] = out / 'identification.yaml'
-        save_values(plan.experiments.values, files['experiments'], comment=experiments)
+    columns, experiments = ('so far', 'then', ''), plan.experiments and plan.experiments.sentence()
     values = {'sentence': plan.sentence(), 'missing': plan.missing, 'duration': plan.duration,
               'experiments': experiments,
               'sd_before': plan.before.sd, 'compared': [
                   {'motion': one.candidate.name, 'log_determinant': one.information,
                    'sd': one.sd} for one in plan.compared]}
-    write_json(out / 'plan.json', values)
+    files = {'numbers': out / 'plan.json'}
+    with written_together():
+        trajectory = files['motion'] = planning.write_plan(plan, out)
+        if plan.experiments is not None and plan.experiments.measured:
+            files['experiments'] = out / 'identification.yaml'
+            save_values(plan.experiments.values, files['experiments'], comment=experiments)
+        write_json(files['numbers'], values)
     if args.json:
         print(as_json(values))
         return 0
@@ -197,6 +198,7 @@ def _by_ros():
     return record
 
 
+@written_together()
 def write_files(plan, out) -> Path:
     """Write trajectory, numbers and picture of a plan; return the path of the trajectory."""
     trajectory = planning.write_plan(plan, out)
@@ -208,11 +210,12 @@ def write_files(plan, out) -> Path:
 def report_separation(found, task, robot_files, out, in_json=False) -> None:
     """Write and print what a Separation ended with."""
     values = separation_values(found)
-    write_json(out / 'separation.json', values)
     files = {'numbers': out / 'separation.json'}
-    if found.rounds:
-        save_figure(separated_figure(found), out / 'separation.png')
-        files['picture'] = out / 'separation.png'
+    with written_together():
+        write_json(files['numbers'], values)
+        if found.rounds:
+            files['picture'] = out / 'separation.png'
+            save_figure(separated_figure(found), files['picture'])
     if in_json:
         print(as_json(values))
         return
@@ -308,14 +311,14 @@ def plan(args) -> int:
             radius=args.radius, seed=args.seed,
             say=(lambda _: None) if args.json else lambda text: say(f'  {text} ...'))
     out = Path(args.out)
-    out.mkdir(parents=True, exist_ok=True)
     words, trajectory = sentence(found, robot.joints), out / 'trajectory.yaml'
-    save_values(found.values, trajectory, comment=words)
     values = {'condition_number': found.condition, 'sinusoids': found.usual,
               'base_parameters': found.parameters, 'shares_of_limits': found.used,
               'clearance': found.clearance,
               'duration': found.trajectory.end}
-    write_json(out / 'plan.json', values)
+    with written_together():
+        save_values(found.values, trajectory, comment=words)
+        write_json(out / 'plan.json', values)
     if args.json:
         print(as_json(values))
         return 0

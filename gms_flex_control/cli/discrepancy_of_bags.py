@@ -17,7 +17,7 @@ from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, ConfigError
-from gms_flex_control.file_io import as_json, write_json
+from gms_flex_control.file_io import as_json, write_json, written_together
 from gms_flex_control.reports import discrepancy_values as files
 from gms_flex_control.reports.answers import discrepancy_answer
 from gms_flex_control.reports.discrepancy_page import units_of, write_discrepancy_report
@@ -78,13 +78,14 @@ def _write_files(result, compared, holdout, args):
     out = Path(args.out)
     values = files.report_values(result, holdout=args.holdout, models=compared)
     earlier = _earlier(out)
-    written = write_discrepancy_report(result, out, holdout=holdout, models=compared)
-    if result.robot is not None:
-        files.write_robot(result, out / 'robot.yaml')
-        written.append(out / 'robot.yaml')
+    with written_together():
+        written = write_discrepancy_report(result, out, holdout=holdout, models=compared)
+        if result.robot is not None:
+            files.write_robot(result, out / 'robot.yaml')
+            written.append(out / 'robot.yaml')
+        write_json(out / 'report.json', values)
     for path in set(earlier) - set(written):  # no longer true
         path.unlink()
-    write_json(out / 'report.json', values)  # at last
     return values
 
 

@@ -17,7 +17,7 @@ from gms_flex_control.data.reader import joint_names, read_experiment, read_reco
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError, ConfigError
-from gms_flex_control.file_io import as_json, share_path, write_text
+from gms_flex_control.file_io import as_json, share_path, write_text, written_together
 from gms_flex_control.identification import output
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
@@ -146,10 +146,11 @@ def _written(args, options, progress):
     found = replace(identify(recordings, robot, holdouts=apart, options=options, say=progress),
                     described=described)
     out = Path(args.out)
-    output.write_friction(found, out / 'friction.yaml')
-    output.write_conditions(found, out)
-    output.write_report_json(found, out / 'report.json')
-    write_identification_report(found, out, robot=args.robot or ())
+    with written_together():
+        output.write_friction(found, out / 'friction.yaml')
+        output.write_conditions(found, out)
+        output.write_report_json(found, out / 'report.json')
+        write_identification_report(found, out, robot=args.robot or ())
     return found
 
 

@@ -14,7 +14,13 @@ from gms_flex_control.cli.robots import controller_of
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.file_io import as_json, controller_file, robot_file, write_json
+from gms_flex_control.file_io import (
+    as_json,
+    controller_file,
+    robot_file,
+    write_json,
+    written_together,
+)
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.reports import comparison_page, tuning_page
@@ -41,8 +47,10 @@ def tune(args) -> int:
             values['verify'] = _verified(robot, proposal.gains, demands, args)
             if not args.json:
                 print(units(f"\n{tuning_page.verify_text(values['verify'], robot)}"))
-        _write(args, robot, proposal, demands)
-    write_json(Path(args.out) / 'tuning.json', values)
+    with written_together():
+        if not proposal.unmet:
+            _write(args, robot, proposal, demands)
+        write_json(Path(args.out) / 'tuning.json', values)
     if args.json:
         print(as_json(values))
     else:
@@ -145,8 +153,10 @@ def compare(args) -> int:
                             amplitude=args.amplitude, workers=args.workers)
     values = found.to_dict() | {'cells': found.outcomes}
     page, numbers = Path(args.out) / 'report.html', Path(args.out) / 'comparison.json'
-    write_json(numbers, values)
-    comparison_page.plant_page(found.rows, found.outcomes, found.setting, args.robot).write(page)
+    with written_together():
+        write_json(numbers, values)
+        comparison_page.plant_page(found.rows, found.outcomes, found.setting,
+                                   args.robot).write(page)
     if args.json:
         print(as_json(values))
         return 0

@@ -173,7 +173,6 @@ def clipped(gains: ControllerParams, limits: Limits) -> ControllerParams:
 def write_plan(plan: NextRecording, folder: str | Path) -> Path:
     """Write the parameter file of trajectory_node into a folder, and return its path."""
     path = Path(folder) / 'trajectory.yaml'
-    path.parent.mkdir(parents=True, exist_ok=True)
     save_values(plan.best.candidate.parameters, path, comment=plan.sentence())
     return path
 

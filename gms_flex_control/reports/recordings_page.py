@@ -6,7 +6,7 @@
 from pathlib import Path
 
 from gms_flex_control.comparison.tracking import link_error, PAPER_WITHOUT, Table4, table4
-from gms_flex_control.file_io import write_json
+from gms_flex_control.file_io import write_json, written_together
 from gms_flex_control.reports import figure_style
 from gms_flex_control.reports.figure_style import free_path
 from gms_flex_control.reports.page import Report, Series
@@ -21,6 +21,7 @@ NAMES = {'none': 'without compensation', 'gms_paper': "with the paper's observer
 _LOOKS = {'none': (1, '-'), 'gms_paper': (2, '-.'), 'gms': (0, '-')}  # colour and line style
 
 
+@written_together()
 def write_tracking_report(runs, folder, title='Tracking report', *, subtitle=None, beside=None
                           ) -> Table4:
     """
