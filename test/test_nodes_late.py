@@ -48,14 +48,17 @@ class JumpingArm:
         self.ticks, self.deadlines = 0, []
 
     def begin(self, stamp):
-        """Publish the first state."""
+        """Be in the first state."""
         self.stamp, self.command = stamp, (0.0, stamp, 0)
 
-    def end_sample(self, deadline):
-        """Publish the next state."""
-        self.deadlines.append(deadline)
+    def end_sample(self):
+        """Be in the next state."""
         self.ticks += 1
         self.begin(self.stamp + self.period)
+
+    def publish(self, deadline=None):
+        """Note when the state leaves."""
+        self.deadlines += [deadline] * (deadline is not None)
 
     def is_last(self):
         """Return whether the run is over."""

@@ -48,6 +48,7 @@ class Paced:
         first, deadline = now(self._node).nanoseconds, time.monotonic_ns()
         with self._lock:
             arm.begin(first)
+            arm.publish()
         while spinner.goes_on() and not arm.is_last():
             if background.error is not None:
                 raise background.error
@@ -57,19 +58,21 @@ class Paced:
             if not ahead:
                 scheduling.sleep_until(deadline - arm.period // 2)
                 ahead = self._simulate_ahead()
-            scheduling.sleep_until(deadline - _READY)
-            with self._lock:
-                left_out = self._follow_clock(max(deadline - time.monotonic_ns(), 0))
-            if left_out > 0:  # no more than it is late: the clock may have been set
-                late = max(time.monotonic_ns() - deadline, 0)  # looked at before it, as a rule
-                deadline += min(left_out, late // arm.period) * arm.period
             if not ahead:
                 scheduling.sleep_until(deadline)
                 self._simulate()
+            with self._lock:
+                left_out = self._follow_clock(max(deadline - time.monotonic_ns(), 0))
+                arm.end_sample()
+            if left_out > 0:  # no more than it is late: the clock may have been set
+                late = max(time.monotonic_ns() - deadline, 0)  # looked at before it, as a rule
+                deadline += min(left_out, late // arm.period) * arm.period
+            # all is ready: what follows a sleep finds cold caches
+            scheduling.sleep_until(deadline - _READY)
             # who asks for the interpreter now gets it once the state has left
             sys.setswitchinterval(_UNDISTURBED)
             with self._lock:
-                arm.end_sample(deadline)
+                arm.publish(deadline)
             sys.setswitchinterval(_SWITCH)
         if self.missed:
             self._node.get_logger().info(
@@ -158,6 +161,7 @@ class Lockstep:
         arm, robot = self._arm, self._robot
         self._publish_clock()
         arm.begin(0)
+        arm.publish()
         repeat, due = time.monotonic() + _REPEAT_PERIOD, 0.0
         while spinner.goes_on():
             if self._paused or not self._is_answered():
@@ -177,6 +181,7 @@ class Lockstep:
                 robot.command = (torque, None, 0)
                 robot.simulate(torque)
                 arm.end_sample()
+                arm.publish()
                 self._publish_clock()
                 repeat = time.monotonic() + _REPEAT_PERIOD
             elif time.monotonic() > repeat:

@@ -48,10 +48,10 @@ class _Arm:
         self.outlet = Outlet(node, JointState, 'joint_states', values['mode'])
 
     def begin(self, stamp) -> None:
-        """Measure, and publish the first state."""
+        """Measure the first state."""
         self.stamp = stamp
         self._plant.measure()
-        self.publish()
+        self._ready()
 
     def simulate(self, torque) -> str:
         """Simulate one sample; return which limit is broken (str), '' if none is."""
@@ -66,20 +66,22 @@ class _Arm:
                                   f'{torque.tolist()} N m; more substeps or a softer robot')
         return '' if limits is None else limiting.violation(self._joints, measured, limits)
 
-    def end_sample(self, deadline=0) -> None:
-        """Publish what is measured at the end of a sample, at ``deadline`` by monotonic_ns."""
+    def end_sample(self) -> None:
+        """Make what is measured at the end of a sample the state there is."""
         self.ticks += 1
         self.stamp += self.period
-        self.publish(deadline)
+        self._ready()
+
+    def _ready(self):
+        self._message = self._writer.write(self._plant.measured, self._plant.applied, self.stamp)
 
     def publish(self, deadline=0) -> None:
-        """Publish the state there is, ready before the ``deadline`` at which it leaves [ns]."""
-        message = self._writer.write(self._plant.measured, self._plant.applied, self.stamp)
+        """Publish the state there is at ``deadline`` by monotonic_ns."""
         while time.monotonic_ns() < deadline:
             # a sleep would end too late, and what it finds would be cold; nobody else gets the
             # interpreter meanwhile, see _UNDISTURBED in pacing.py
             pass
-        self.outlet.publish(message)
+        self.outlet.publish(self._message)
 
     def is_last(self) -> bool:
         """Return whether the sample that ends now is the last of the run."""
