@@ -111,12 +111,16 @@ def start_controller(lab, name='controller_node'):
     lab.controller = lab.start(name, files=lab.files, **lab.given)
 
 
+def client_of(lab, name):
+    """Return the client of a service; made early: DDS may lose the answer to one just made."""
+    if name not in lab.clients:
+        lab.clients[name] = lab.node.create_client(Trigger, name)
+    return lab.clients[name]
+
+
 def ask(lab, name):
     """Call a Trigger service, of the plant if ``name`` says no other; return its answer."""
-    name = name if name.startswith('/') else f'/plant/{name}'
-    client = lab.clients.get(name)  # kept: DDS may lose the answer to one that has just come
-    if client is None:
-        client = lab.clients[name] = lab.node.create_client(Trigger, name)
+    client = client_of(lab, name if name.startswith('/') else f'/plant/{name}')
     lab.until(client.service_is_ready)
     future = client.call_async(Trigger.Request())
     lab.until(future.done)

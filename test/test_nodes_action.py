@@ -9,7 +9,9 @@ action = pytest.importorskip(
     'control_msgs.action', reason='control_msgs is not installed, there is no wheel of it: '
     'the action itself runs on a ROS installation only')
 from action_msgs.msg import GoalStatus  # noqa: E402,I100  after the skip
+from bridge_lab import ask, client_of, enable  # noqa: E402
 from control_msgs.msg import JointTolerance  # noqa: E402
+from node_harness import Lab, MOTION  # noqa: E402
 import numpy as np  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
 from test_nodes_trajectory import point, SECOND, START, Stepper  # noqa: E402
@@ -128,3 +130,39 @@ def test_a_service_that_begins_another_motion_ends_the_goal(arm):
     arm.steps(SECOND)
     assert result(arm, handle) == (GoalStatus.STATUS_ABORTED, RESULT.INVALID_GOAL,
                                    'another motion has begun')
+
+
+@pytest.fixture(params=[('plant_node', 'controller_node', 'trajectory_node'), ('loop_node',)],
+                ids=['three processes', 'one process'])
+def robot(request, tmp_path):
+    """Run the whole loop at rest, and a client of its action."""
+    with Lab(tmp_path) as lab:
+        lab.clients = {}
+        nodes = [lab.start(name, files=MOTION, rate=200.0, silence_timeout=1.0)
+                 for name in request.param]
+        lab.started = nodes[-1]
+        for name in ('disable', 'enable', 'emergency_stop', 'reset'):
+            client_of(lab, f'/plant/{name}')
+        lab.actions = ActionClient(lab.node, KIND, '/trajectory/follow_joint_trajectory')
+        lab.until(lab.actions.server_is_ready)
+        lab.until(lambda: 'ACTIVE' in nodes[0].printed())
+        yield lab
+        lab.actions.destroy()
+
+
+def test_without_torque_goals_are_refused_and_the_one_that_is_followed_ends(robot):
+    assert ask(robot, 'disable').success
+    status, code, text = result(robot, send(robot, point(0.5, [0.1, 0.1])))
+    assert (status, code) == (GoalStatus.STATUS_ABORTED, RESULT.INVALID_GOAL)
+    assert text == 'no torque flows (ZERO: disabled): call /plant/enable first'
+    enable(robot)
+    reached = send(robot, point(0.5, [0.1, 0.1]), path=0.5, at_end=0.1)
+    assert result(robot, reached)[:2] == (GoalStatus.STATUS_SUCCEEDED, RESULT.SUCCESSFUL)
+    begun = count(robot)
+    handle = send(robot, point(5.0, [0.3, 0.3]))
+    follows(robot, begun + 1)
+    assert ask(robot, 'emergency_stop').success
+    assert result(robot, handle) == (
+        GoalStatus.STATUS_ABORTED, RESULT.INVALID_GOAL,
+        'no torque flows (FAULT: emergency stop by service): call /plant/reset and /plant/enable '
+        'first')

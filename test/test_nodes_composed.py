@@ -12,7 +12,6 @@ from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import executable, TOPICS
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from node_harness import (
-    array_message,
     COMMANDS,
     JointState,
     Lab,
@@ -117,18 +116,6 @@ def test_names_topics_and_services_are_those_of_three_nodes(loop):
                          'cascade_controller': {STATES, REFERENCE}}.items():
         assert topics <= {topic for topic, _ in
                           loop.node.get_subscriber_names_and_types_by_node(name, '/')}
-
-
-def test_another_controller_is_noticed(loop):
-    """Commands of other processes come by DDS as before."""
-    other = loop.say('commands')
-
-    def reported():
-        other.publish(array_message([0.0, 0.0], f'stamp:{stamp_of(loop.states[-1])}',
-                                    'source:/other'))
-        return '2 controllers command at once' in loop.plant.printed()
-    loop.until(reported)
-    loop.until(lambda: any(loop.states[-1].effort[2:]))  # one is left: torque flows again
 
 
 def report_after(lab, figure):

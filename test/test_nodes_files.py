@@ -59,6 +59,9 @@ def outcomes(tmp_path_factory):
                 start, 'whole numbers', 'plant_node',
                 'arm: {joint1: {mass: 2}}\nrate: 500\nfriction: {joint1: {stiffness: '
                 '[2, 6, 7, 64, 11, 111]}}\nuse_sim_time: false', duration=0.02)
+            running['empty lists'] = pool.submit(
+                start, 'empty lists', 'plant_node', 'hold_services: []\nmotors: []',
+                duration=0.02)
             return {case: result.result() for case, result in running.items()}
 
 
@@ -75,8 +78,9 @@ def test_a_bad_file_is_refused_in_one_sentence(outcomes, case):
         assert str(path) in lines[0]
 
 
-def test_whole_numbers_are_taken_for_doubles(outcomes):
-    code, printed, _ = outcomes['whole numbers']
+@pytest.mark.parametrize('case', ['whole numbers', 'empty lists'])
+def test_what_ros_has_no_other_type_for_is_taken(outcomes, case):
+    code, printed, _ = outcomes[case]
     assert code == 0 and 'Traceback' not in printed, printed
 
 

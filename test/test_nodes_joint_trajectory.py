@@ -81,10 +81,13 @@ def verdict(of, late, position=(0.0, 0.0), velocity=(0.0, 0.0)):
     return of.verdict(JOINTS, np.array([position, velocity]), late * SECOND)
 
 
-def test_a_goal_without_tolerances_is_over_when_its_time_is():
-    anything = {'position': (9.0, 9.0), 'velocity': (9.0, 9.0)}
-    assert verdict(goal(), -1, **anything) is None
-    assert verdict(goal(), 0, **anything)[0] == joint_trajectory.SUCCESSFUL
+def test_a_goal_without_tolerances_is_over_when_the_arm_has_stopped():
+    """As with joint_trajectory_controller, stopped_velocity_tolerance 0.01 rad/s by default."""
+    assert verdict(goal(), -1, (9.0, 9.0), (9.0, 9.0)) is None
+    assert verdict(goal(), 1000, (9.0, 9.0), (0.0, 0.02)) is None
+    assert verdict(goal(), 0, (9.0, 9.0), (0.0, 0.009))[0] == joint_trajectory.SUCCESSFUL
+    assert verdict(goal(at_end=[tolerance('a', velocity=-1.0), tolerance('b', velocity=5.0)]), 0,
+                   (9.0, 9.0), (9.0, 4.0))[0] == joint_trajectory.SUCCESSFUL
 
 
 def test_an_error_beyond_the_path_tolerance_ends_it_on_the_way_only():

@@ -3,9 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The simulated plant has the same limits, services and faults as the bridge."""
 
-from bridge_lab import ask
+from bridge_lab import ask, client_of, enable
 from node_harness import array_message, Lab, MOTION, stamp_of
+import numpy as np
 import pytest
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 LIMITS = {'limits__joint1__torque': 0.05, 'limits__joint2__upper': 0.3,
           'limits__joint2__position_margin': 0.05}
@@ -16,7 +18,7 @@ def lab(tmp_path_factory):
     """Run a limited plant alone; the test commands it."""
     with Lab(tmp_path_factory.mktemp('safety')) as running:
         running.plant = running.start('plant_node', files=MOTION,
-                                      rate=200.0, silence_timeout=1.0, **LIMITS)
+                                      rate=200.0, silence_timeout=1.0, hold_services=[], **LIMITS)
         running.clients = {}
         running.states = running.hear('states')
         running.commands = running.say('commands')
@@ -82,3 +84,75 @@ def test_a_range_left_during_a_silence_is_a_fault_that_outlasts_the_silence(tmp_
         push(lab, [0.0, -0.1], lambda _: len(lab.states) > begin + 60)
         assert not any(any(state.effort[2:]) for state in lab.states[begin:])
         assert 'commands come again' not in lab.plant.printed()
+
+
+RATE = 500.0
+THREE = ('plant_node', 'controller_node', 'trajectory_node')
+
+
+@pytest.fixture(params=[THREE, ('loop_node',)], ids=['three processes', 'one process'])
+def moving(request, tmp_path):
+    """Run the loop along a large sinusoid that has begun by itself."""
+    with Lab(tmp_path) as lab:
+        lab.clients = {}
+        lab.processes = [lab.start(
+            name, files=MOTION, rate=RATE, silence_timeout=1.0, trajectory__autostart=True,
+            trajectory__approach_time=1.0) for name in request.param]
+        for name in ('plant/enable', 'plant/reset', 'trajectory/start'):
+            client_of(lab, f'/{name}')
+        lab.states, lab.references = lab.hear('states', 'references')
+        lab.until(lambda: lab.states and np.abs(lab.states[-1].position).max() > 0.4)
+        yield lab
+
+
+@pytest.mark.parametrize('leave', [('disable',), ('emergency_stop', 'reset')])
+def test_torque_begins_where_the_arm_is_however_far_the_reference_went(moving, leave):
+    lab = moving
+    for service in leave:
+        assert ask(lab, service).success
+
+    def off():
+        """Return how far the reference is from an arm at rest."""
+        return max(abs(np.subtract(lab.references[-1].data[:2], lab.states[-1].position[:2]))) * (
+            np.abs([state.velocity[:2] for state in lab.states[-20:]]).max() < 0.2)
+    lab.until(lambda: lab.references and off() > 0.7, 30.0)
+    rest, begin = np.array(lab.states[-1].position[:2]), len(lab.states)
+    enable(lab)
+    lab.more(lab.states, round(RATE))
+    held = np.array([state.position[:2] for state in lab.states[begin:]])
+    assert np.abs(held - rest).max() < 0.25
+    assert ask(lab, '/trajectory/start').success
+    lab.until(lambda: np.abs(np.array(lab.states[-1].position[:2]) - rest).max() > 0.3)
+
+
+def test_two_controllers_are_a_fault_until_reset(moving):
+    """The one that is left has wound up, and its reference went on: nothing passes by itself."""
+    lab = moving
+    other = lab.say('commands')
+
+    def reported():
+        other.publish(array_message([0.0, 0.0], f'stamp:{stamp_of(lab.states[-1])}',
+                                    'source:/other'))
+        return any('2 controllers command at once' in process.printed()
+                   for process in lab.processes)
+    lab.until(reported)
+    begin = len(lab.states)
+    lab.more(lab.states, 300)
+    assert not any(any(state.effort[2:]) for state in lab.states[begin + 20:])
+    enable(lab)
+    lab.until(lambda: any(lab.states[-1].effort[2:]))
+
+
+def test_points_are_refused_while_no_torque_flows(moving):
+    lab = moving
+    points = lab.speak(JointTrajectory, '/trajectory/joint_trajectory')
+    lab.until(points.get_subscription_count)
+    assert ask(lab, 'disable').success
+    point = JointTrajectoryPoint(positions=[0.1, 0.1])
+    point.time_from_start.sec = 1
+
+    def refused():
+        points.publish(JointTrajectory(joint_names=['joint1', 'joint2'], points=[point]))
+        return any('joint trajectory refused: no torque flows (ZERO: disabled): call '
+                   '/plant/enable first' in process.printed() for process in lab.processes)
+    lab.until(refused)

@@ -146,8 +146,8 @@ def try_two_controllers(bench, tries, tally):
         tally.expect(str(first.process.pid) in reported and str(second.process.pid) in reported,
                      f'the plant does not name both: {reported!r}')
         first.kill()
-        bench.until(loop.moves)
         loop.run(_GONE)
+        loop.release()
     tally.expect(largest_torque(loop.commands.since(0.0)) < np.inf, 'a command is not finite')
 
 

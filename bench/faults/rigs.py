@@ -21,6 +21,7 @@ from gms_flex_control.simulation.loop import SteppedPlant
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
 RATE = 250.0
 PERIOD = round(NANOSECONDS / RATE)
@@ -235,6 +236,12 @@ class Loop:
         if self.states:
             return any(self.states[-1].effort[2:])
         return bool(self.commands) and any(self.commands[-1].data)
+
+    def release(self):
+        """Leave a fault and let the arm move again: it holds until it is told to."""
+        for service in ('plant/reset', 'plant/enable', 'trajectory/start'):
+            self.bench.until(lambda name=service: self.bench.call(Trigger, f'/{name}').success)
+        self.bench.until(self.moves)
 
     def stalled(self, since):
         """Return whether the machine itself held up the loop since a moment [s]."""

@@ -93,14 +93,8 @@ def try_emergency_stop(bench, tries, tally):
         tally.expect(not loop.moves(), 'the released button alone gives torque')
         if process:
             process.wait()
-        _release(bench, loop)
-
-
-def _release(bench, loop):
-    for service in ('reset', 'enable'):
-        bench.call(Trigger, f'/plant/{service}')
-    bench.until(loop.moves)
-    loop.run(0.2)
+        loop.release()
+        loop.run(0.2)
 
 
 def try_mismatch(bench, tries, tally):

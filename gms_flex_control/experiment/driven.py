@@ -52,7 +52,7 @@ def ros_arguments(files=(), parameters: dict | None = None) -> list[str]:
     for file in files:
         arguments += ['--params-file', str(file)]
     for name, value in (parameters or {}).items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
+        text = str(value).lower() if isinstance(value, bool) else str(value) or "''"
         arguments += ['-p', f'{name}:={text}']
     return arguments
 

@@ -147,7 +147,6 @@ class BridgedRobot(SupervisedRobot):
             self._bridge.take_torque_away()
             self._send()
         self._health.report_state(self._supervisor)
-        self._health.publish()
 
     # requests, from any thread ---------------------------------------------------------------
 

@@ -11,12 +11,11 @@ from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.following import Follower, Reference
 from gms_flex_control.nodes.health import Health, trigger, WARN
-from gms_flex_control.nodes.parameters import NodeParameters
+from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
 from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.keys import controller_keys, CONTROLLER_NODE, robot_keys
 import numpy as np
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -112,12 +111,11 @@ class _Outputs:
         self._command_pub.wait_for_all_acked(process.GOODBYE)
 
 
-class ControllerNode(Node):
+class ControllerNode(ConfiguredNode):
     """Run the cascade controller on every joint state received."""
 
     def __init__(self, direct=None, **kwargs):
-        super().__init__('cascade_controller',
-                         automatically_declare_parameters_from_overrides=True, **kwargs)
+        super().__init__('cascade_controller', **kwargs)
         self.direct = direct or Direct()
         parameters = NodeParameters(self, lambda joints: (
             *robot_keys(joints), *controller_keys(joints), *CONTROLLER_NODE))
@@ -138,7 +136,9 @@ class ControllerNode(Node):
         boxes = []
         Inbox(self, Float64MultiArray, 'reference', self._on_reference, values['mode'], boxes)
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'], boxes)
-        self.create_service(Trigger, '~/reset', self.health.guard(trigger('reset', self._reset)))
+        reset = self.health.guard(trigger('reset', self._reset))
+        self.create_service(Trigger, '~/reset', reset)
+        self.direct.services[self.resolve_service_name('~/reset')] = reset
         parameters.watch(lambda new: controller_from_values(new, joints), self._use,
                          self.health.guard)
         self._warn_of_conditions(gains)

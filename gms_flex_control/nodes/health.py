@@ -23,6 +23,7 @@ _REPORTS_PER_COMPARISON = 10  # where as many endpoints are there as before
 _WARN_PERIOD = 5.0   # of warnings of one kind [s]
 _SYSTEM = Clock()
 _COMMON = ('rosout', 'parameter_events')
+DIAGNOSTICS = '/diagnostics'
 _ENDLESS = 2**62  # the graph reports a duration that was never set as about this or more [ns]
 
 
@@ -58,7 +59,8 @@ class Health:
         self._warned = {}    # kind of warning: when it was logged last [s]
         self._said, self._looks, self._mismatches = None, 0, ()
         self._counted, self._reports = None, 0  # endpoints of others, when last compared
-        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        self._hearers = node.direct.hearers[DIAGNOSTICS] if hasattr(node, 'direct') else ()
         # steady: the timers of ROS time stand still with /clock
         self._timer = node.create_timer(_LOOK_PERIOD, self.shield(self._look),
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -68,7 +70,7 @@ class Health:
         self._state = (level, sentence)
 
     def report_state(self, supervisor, severity=LoggingSeverity.ERROR) -> None:
-        """Say and log the state of a Supervisor; ``severity`` is that of a fault in the log."""
+        """Say, log and publish the state of a Supervisor, a fault in the log by ``severity``."""
         fault = supervisor.state == FAULT
         sentence = f'{supervisor.state}: {supervisor.reason}'
         self.report(ERROR if fault else OK, sentence)
@@ -76,6 +78,7 @@ class Health:
             self._node.get_logger().log(sentence, severity)
         else:
             self._node.get_logger().info(sentence)
+        self.publish()
 
     def warn(self, kind, sentence, skip_first=False) -> None:
         """
@@ -182,6 +185,8 @@ class Health:
         message = DiagnosticArray(status=[status])
         message.header.stamp = now(self._node).to_msg()
         self._publisher.publish(message)
+        for hear in self._hearers:
+            hear(message)
 
 
 def _endpoints_of_others(node):

@@ -18,7 +18,7 @@ from gms_flex_control.experiment.identification_plan import (
 )
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.health import trigger
-from gms_flex_control.nodes.parameters import NodeParameters
+from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
 from gms_flex_control.nodes.recorder import ExperimentBag, STATES
 from gms_flex_control.nodes.remote import RemoteNode
 from gms_flex_control.nodes.step_runner import StepRunner, Watch
@@ -30,7 +30,6 @@ from gms_flex_control.schema.keys import (
     IDENTIFICATION_NODE,
     robot_keys,
 )
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -104,12 +103,11 @@ def _ended(command, printed, spinner):
     return run.returncode
 
 
-class IdentificationNode(Node):
+class IdentificationNode(ConfiguredNode):
     """Carry out the steps of an identification plan and record them."""
 
     def __init__(self, **kwargs):
-        super().__init__('identification', automatically_declare_parameters_from_overrides=True,
-                         **kwargs)
+        super().__init__('identification', **kwargs)
         parameters = NodeParameters(self, lambda joints: (
             *robot_keys(joints), *controller_keys(joints), *identification_keys(joints),
             *IDENTIFICATION_NODE))

@@ -30,6 +30,7 @@ except ImportError:
 _ROWS = ('positions', 'velocities', 'accelerations')
 _MOST_POINTS = 1000  # a loop in the same process waits while they are read
 _AT_REST = 1e-6  # the last velocity [rad/s]
+_STOPPED = 0.01  # as stopped_velocity_tolerance of joint_trajectory_controller [rad/s]
 _FEEDBACK_PERIOD = NANOSECONDS // 20
 # of control_msgs/action/FollowJointTrajectory
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, OLD_HEADER_TIMESTAMP = 0, -1, -2, -3
@@ -85,7 +86,7 @@ class Goal(NamedTuple):
     """What a goal demands beside its points; absent bounds are infinite."""
 
     path: np.ndarray      # (2, n_joints) errors of angle and velocity on the way [rad, rad/s]
-    at_end: np.ndarray    # and once it is over
+    at_end: np.ndarray    # and once it is over; a goal that bounds nothing ends at rest
     allowance: int        # how much later than the last point it may be reached [ns]; 0: any time
 
     def verdict(self, joints, error, late) -> tuple | None:
@@ -112,21 +113,23 @@ def read_goal(request, joints) -> Goal:
         raise RefusedError('it has no points')
     if request.multi_dof_trajectory.points:
         raise RefusedError('joints of several degrees of freedom are not known here')
-    return Goal(_bounds(request.path_tolerance, joints), _bounds(request.goal_tolerance, joints),
+    return Goal(_bounds(request.path_tolerance, joints, np.inf),
+                _bounds(request.goal_tolerance, joints, _STOPPED),
                 to_nanoseconds(request.goal_time_tolerance))
 
 
-def _bounds(tolerances, joints):
-    """Return bounds (2, n) of JointTolerances: 0, the default, and less are no bound."""
+def _bounds(tolerances, joints, velocity):
+    """Return bounds (2, n) of JointTolerances: 0 is the default, of ``velocity``; less is none."""
     bounds = np.full((2, len(joints)), np.inf)
+    bounds[1] = velocity
     for one in tolerances:
         if one.name not in joints:
             raise JointsError(f'a tolerance is for {one.name[:80]!r}, known are {list(joints)}')
         for row, bound in enumerate((one.position, one.velocity)):
             if isnan(bound):
                 raise RefusedError(f'a tolerance of {one.name} is nan')
-            if bound > 0.0:
-                bounds[row, joints.index(one.name)] = bound
+            if bound:
+                bounds[row, joints.index(one.name)] = bound if bound > 0.0 else np.inf
     return bounds
 
 
@@ -146,12 +149,14 @@ class TrajectoryAction:
     The action ``~/follow_joint_trajectory``: one goal at a time, a new one replaces the old.
 
     ``prepare`` takes a JointTrajectory and returns what lets the Motion follow it, which is called
-    with the node's lock and returns the stamp of its end; both raise RefusedError. ``look`` is to
-    be called for every joint state, with the lock.
+    with the node's lock and returns the stamp of its end; both raise RefusedError. ``obstacle()``
+    returns why nothing is followed, '' if all is well. ``look`` is to be called for every joint
+    state, with the lock.
     """
 
-    def __init__(self, node, motion, prepare):
+    def __init__(self, node, motion, prepare, obstacle):
         self._node, self._motion, self._prepare = node, motion, prepare
+        self._obstacle = obstacle
         self._active = None      # (handle, Goal, end, Trajectory, Future of the result)
         self._reported = 0       # stamp of the last feedback
         ActionServer(node, FollowJointTrajectory, '~/follow_joint_trajectory', self._execute,
@@ -188,6 +193,10 @@ class TrajectoryAction:
         if handle.is_cancel_requested:
             motion.brake()
             self._finish(handle.canceled, SUCCESSFUL, 'canceled: the reference comes to rest')
+            return
+        if self._obstacle():
+            motion.brake()
+            self.end(self._obstacle())
             return
         desired = motion.sample(stamp)[:2]
         actual = np.array([links.q, links.dq])

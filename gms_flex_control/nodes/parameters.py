@@ -24,6 +24,7 @@ from rcl_interfaces.msg import (
     ParameterType,
     SetParametersResult,
 )
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
@@ -57,9 +58,22 @@ def _descriptor(key):
     return descriptor
 
 
+class ConfiguredNode(Node):
+    """A node that declares all parameters it is given, for `NodeParameters` to check."""
+
+    def __init__(self, name, **kwargs):
+        super().__init__(name, automatically_declare_parameters_from_overrides=True, **kwargs)
+
+    def declare_parameters(self, namespace, parameters, ignore_override=False) -> list:
+        """Declare parameters; an empty list of a file, which rclpy is given as None, is one."""
+        return super().declare_parameters(namespace, [
+            (name, [] if value is None else value, descriptor)
+            for name, value, descriptor in parameters], ignore_override=ignore_override)
+
+
 class NodeParameters:
     """
-    The parameters of one ``node``, which declared its overrides automatically.
+    The parameters of one ConfiguredNode ``node``.
 
     ``own_keys`` takes joint names and returns the keys this node uses; those of the other nodes
     may stand in the same file. Raises ConfigError if a file gave an unknown key, a wrong type or

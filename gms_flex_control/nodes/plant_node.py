@@ -10,7 +10,7 @@ import time
 from gms_flex_control.nodes import process, scheduling
 from gms_flex_control.nodes.bridged_robot import BridgedRobot
 from gms_flex_control.nodes.health import Health, trigger
-from gms_flex_control.nodes.parameters import NodeParameters
+from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
 from gms_flex_control.nodes.simulated_robot import SimulatedRobot
 from gms_flex_control.nodes.topics import all_waiting, DEPTH, Direct
 from gms_flex_control.schema.keys import bridge_keys, plant_node_keys, robot_keys, safety_keys
@@ -18,7 +18,6 @@ import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from std_msgs.msg import Bool
@@ -41,11 +40,11 @@ def _bridge_keys(joints):
     return (*names, *safety_keys(joints), *bridge_keys(joints))
 
 
-class PlantNode(Node):
+class PlantNode(ConfiguredNode):
     """Publish joint states and obey torque commands, as ros2_control's effort side does."""
 
     def __init__(self, direct=None, **kwargs):
-        super().__init__('plant', automatically_declare_parameters_from_overrides=True, **kwargs)
+        super().__init__('plant', **kwargs)
         self.direct = direct or Direct()
         bridged = self.has_parameter('backend') and self.get_parameter('backend').value == 'bridge'
         parameters = NodeParameters(self, _bridge_keys if bridged else _simulator_keys)
@@ -54,9 +53,8 @@ class PlantNode(Node):
                              lambda: self._robot.fail(self.health.fault), self.direct.lock)
         self._robot = (BridgedRobot if bridged else SimulatedRobot)(
             self, values, parameters.joints)
-        self._safety = Safety(
-            self, self._robot, topic=values['emergency_stop_topic'],
-            hold_service=values['bridge.hold_service'] if bridged else '')
+        self._safety = Safety(self, self._robot, topic=values['emergency_stop_topic'],
+                              hold_services=values['hold_services'])
         scheduling.take_priority(self, values['realtime_priority'])
 
     def foresee(self, controller) -> None:
@@ -83,10 +81,10 @@ class Safety:
     delay none of them. Without parameters it is hidden from 'ros2 param list', which would wait.
 
     ``robot`` is a SupervisedRobot; ``topic`` is that of the button, std_msgs/Bool, true is
-    pressed; ``hold_service`` is a Trigger called before torque is enabled, '' for none.
+    pressed; ``hold_services`` are Triggers called one after the other before torque is enabled.
     """
 
-    def __init__(self, node, robot, *, topic, hold_service=''):
+    def __init__(self, node, robot, *, topic, hold_services):
         self._robot, self._health = robot, node.health
         self._node = rclpy.create_node(
             f'_{node.get_name()}_safety', namespace=node.get_namespace(), context=node.context,
@@ -103,11 +101,10 @@ class Safety:
                 ('enable', self._enable)):
             self._node.create_service(Trigger, node.resolve_service_name(f'~/{name}'), handler,
                                       callback_group=group)
-        self._hold, self._served = None, node.direct.services
-        if hold_service:
-            self._hold = self._node.create_client(
-                Trigger, node.resolve_service_name(hold_service), callback_group=group)
-        self._asked = None         # future of the hold service
+        self._served = node.direct.services
+        self._holds = [self._node.create_client(Trigger, node.resolve_service_name(name),
+                                                callback_group=group) for name in hold_services]
+        self._waits_for = ''       # the one of them that has been called
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
         self._over = Future()
@@ -154,34 +151,36 @@ class Safety:
     async def _enable(self, _request, response):
         refusals = self._robot.refusals  # of what may come while the hold is waited for
         obstacle = self._robot.obstacle()
-        if not obstacle and self._hold is not None and self._robot.at_zero:
-            obstacle = self._no_hold() or await self._held()
+        if not obstacle and self._robot.at_zero:
+            if self._waits_for:
+                obstacle = f'another request already waits for {self._waits_for}'
+            for hold in self._holds:
+                obstacle = obstacle or self._no_hold(hold) or await self._held(hold)
         response.success, response.message = (
             (False, f'not enabled: {obstacle}') if obstacle else self._robot.enable(refusals))
         return response
 
-    async def _held(self):
-        """Let the reference hold; return a sentence if it does not, else ''."""
-        if self._hold.service_name in self._served:
-            return self._refused(self._served[self._hold.service_name](
-                Trigger.Request(), Trigger.Response()))
-        if self._asked is not None:
-            return f'another request already waits for {self._hold.srv_name}'
-        self._asked = self._hold.call_async(Trigger.Request())
-        patience = self._node.create_timer(_PATIENCE, self._asked.cancel,
-                                           clock=Clock(clock_type=ClockType.STEADY_TIME))
-        held = await self._asked
-        self._asked = None
-        self._node.destroy_timer(patience)
+    async def _held(self, hold):
+        """Let the reference, or the controller, hold; return a sentence if not, else ''."""
+        serve = self._served.get(hold.service_name)
+        held = (serve(Trigger.Request(), Trigger.Response()) if serve
+                else await self._answered(hold))
         if held is None:
-            return f'{self._hold.srv_name} did not answer in {_PATIENCE} s'
-        return self._refused(held)
+            return f'{hold.srv_name} did not answer in {_PATIENCE} s'
+        return '' if held.success else f'{hold.srv_name} refused: {held.message}'
 
-    def _refused(self, held):
-        return '' if held.success else f'{self._hold.srv_name} refused: {held.message}'
+    async def _answered(self, hold):
+        """Return the answer of another process, None if none comes in time."""
+        self._waits_for, answer = hold.srv_name, hold.call_async(Trigger.Request())
+        patience = self._node.create_timer(_PATIENCE, answer.cancel,
+                                           clock=Clock(clock_type=ClockType.STEADY_TIME))
+        held = await answer
+        self._waits_for = ''
+        self._node.destroy_timer(patience)
+        return held
 
-    def _no_hold(self):
-        if self._hold.service_name in self._served or self._hold.service_is_ready():
+    def _no_hold(self, hold):
+        if hold.service_name in self._served or hold.service_is_ready():
             return ''
-        return (f'nobody serves {self._hold.srv_name}, which lets the reference begin where the '
-                "robot is; start trajectory_node or set bridge.hold_service to ''")
+        return (f'nobody serves {hold.srv_name}, which lets reference or controller begin where '
+                'the robot is; start its node or leave it out of hold_services')

@@ -92,8 +92,8 @@ class SimulatedRobot(SupervisedRobot):
     """
     A robot that is simulated sample by sample.
 
-    Silence and two controllers at once are faults that pass when one controller commands again,
-    there being nothing to break; an emergency stop and a broken limit last until ``~/reset``.
+    The silence of its controller is a fault that passes when that commands again: it knows of the
+    gap, by the stamps or because it is new. All others last until ``~/reset``.
     """
 
     def __init__(self, node, values, joints):
@@ -130,7 +130,7 @@ class SimulatedRobot(SupervisedRobot):
         (stamp, source), now = messages.read_marks(message), time.monotonic_ns()
         conflict = '' if self._lockstep else self._commands.hear(source, now)
         if conflict:
-            self._fail_passing(conflict)
+            self.fail(conflict)
             return True
         held = self.command[1]
         if stamp is not None and (stamp > arm.stamp or (held is not None and stamp < held)):
@@ -159,14 +159,6 @@ class SimulatedRobot(SupervisedRobot):
 
     # faults and requests, from any thread ----------------------------------------------------
 
-    def _fail_passing(self, sentence):
-        with self._lock:
-            if self._supervisor.trip(sentence):
-                self._passing = True
-            elif self._passing:  # a silence, say, and then two controllers
-                self._supervisor.amend(sentence)
-            self._settle()
-
     def _resume(self, silence):
         """Let torque flow again, now that one controller commands after ``silence`` [ns]."""
         with self._lock:
@@ -183,8 +175,9 @@ class SimulatedRobot(SupervisedRobot):
         """Look for the silence of the controller."""
         silence = self._commands.silence(time.monotonic_ns())
         if silence is not None and silence > self._silence_timeout and self._supervisor.active:
-            self._fail_passing(f'no command from {self._commands.name} for '
-                               f'{silence / 1e6:.0f} ms')
+            self._passing = self._supervisor.trip(
+                f'no command from {self._commands.name} for {silence / 1e6:.0f} ms')
+            self._settle()
 
     def _settle(self):
         state = self._supervisor.state, self._supervisor.reason

@@ -7,11 +7,13 @@ from contextlib import suppress
 import os
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
+from gms_flex_control.hardware.supervision import ACTIVE, FAULT
 from gms_flex_control.nodes import joint_trajectory, messages, process, scheduling
-from gms_flex_control.nodes.health import Health, OK, trigger
+from gms_flex_control.nodes.health import DIAGNOSTICS, Health, OK, trigger
 from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
-from gms_flex_control.nodes.parameters import NodeParameters
+from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
 from gms_flex_control.nodes.reference_motion import LinkStates, LONGEST_PAUSE, Motion
 from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
 from gms_flex_control.schema.build import frames_from_values
@@ -19,7 +21,6 @@ from gms_flex_control.schema.keys import robot_keys, trajectory_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory.polynomials import require_within
 import numpy as np
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -37,12 +38,11 @@ def reference_names_keys(joints) -> tuple:
     return (*(key for key in robot_keys(joints) if key.name in names), *trajectory_keys(joints))
 
 
-class TrajectoryNode(Node):
+class TrajectoryNode(ConfiguredNode):
     """Publish the reference for each joint state before that state comes."""
 
     def __init__(self, direct=None, **kwargs):
-        super().__init__('trajectory', automatically_declare_parameters_from_overrides=True,
-                         **kwargs)
+        super().__init__('trajectory', **kwargs)
         self.direct = direct or Direct()
         parameters = NodeParameters(self, reference_names_keys)
         values, joints = parameters.values, parameters.joints
@@ -60,11 +60,17 @@ class TrajectoryNode(Node):
         self._motion, self._require = Motion(joints, self._links, chosen, values, require), require
         self._writer = messages.ReferenceWriter(
             len(joints), f'{self.get_fully_qualified_name()}#{os.getpid()}')
+        self._plant, self._no_torque = self.resolve_service_name('plant'), ''  # '': it flows
         self._counts = dict.fromkeys(('states followed', 'states refused', 'jumps of time'), 0)
         self.health = Health(self, lambda: self._counts, lock=self.direct.lock)
         guard = self.health.guard
         self._reference_pub = Outlet(self, Float64MultiArray, 'reference', values['mode'])
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
+        hear = self.health.shield(self._on_diagnostics)
+        self.create_subscription(DiagnosticArray, DIAGNOSTICS, hear,
+                                 process.subscriber_qos('lockstep'),
+                                 event_callbacks=process.NO_EVENTS)
+        self.direct.hearers[DIAGNOSTICS].append(hear)
         self.create_subscription(
             JointTrajectory, '~/joint_trajectory', self.health.shield(self._on_joint_trajectory),
             process.subscriber_qos('lockstep'), event_callbacks=process.NO_EVENTS)
@@ -95,7 +101,22 @@ class TrajectoryNode(Node):
             self.get_logger().info('no action ~/follow_joint_trajectory: control_msgs is not '
                                    'installed (sudo apt install ros-jazzy-control-msgs)')
             return None
-        return joint_trajectory.TrajectoryAction(self, self._motion, self._prepare)
+        return joint_trajectory.TrajectoryAction(self, self._motion, self._prepare,
+                                                 self._obstacle)
+
+    def _on_diagnostics(self, message):
+        """Hear whether the plant, or bridge, of this namespace lets torque flow."""
+        for status in message.status:
+            if status.hardware_id == self._plant:
+                said = {item.key: item.value for item in status.values}
+                state, reset = said['state'], f'{self._plant}/reset and '
+                self._no_torque = '' if state == ACTIVE else (
+                    f"no torque flows ({state}: {said['reason']}): call "
+                    f"{reset if state == FAULT else ''}{self._plant}/enable first")
+
+    def _obstacle(self):
+        """Return why no points are followed (str), '' if they are."""
+        return self.health.fault or self._no_torque
 
     def run(self, spinner) -> None:
         """Publish until a signal comes."""
@@ -191,8 +212,9 @@ class TrajectoryNode(Node):
         of the last one [ns].
         """
         motion = self._motion
-        if motion.published is None or self.health.fault:
-            raise RefusedError(self.health.fault or _NO_STATE)
+        obstacle = self._obstacle() or ('' if motion.published is not None else _NO_STATE)
+        if obstacle:
+            raise RefusedError(obstacle)
         stamp = messages.to_nanoseconds(message.header.stamp)
         points = *joint_trajectory.read_joint_trajectory(message, motion.joints), stamp
         with self.direct.lock:
@@ -219,8 +241,12 @@ class TrajectoryNode(Node):
         self.health.recover()
         if self._motion.published is None:  # the next state is the first again
             self._motion.current = None
-        return self._answer(self._motion.rest_at_robot,
+        return self._answer(self._rest_at_robot,
                             'reference comes to rest from where the robot is')
+
+    def _rest_at_robot(self):
+        self._motion.rest_at_robot()
+        self._publish(self._motion.published)  # nobody follows what was foreseen before
 
     def finish(self) -> None:
         """End: a controller whose reference stops sends zero torque by itself."""

@@ -54,7 +54,9 @@ _SAFETY = (
         choices=('sim', 'bridge')),
     Key('silence_timeout', 'without a command for so long: zero torque and FAULT', 's', 0.035,
         0.002, 1.0),
-    Key('emergency_stop_topic', 'std_msgs/Bool, true is pressed', default='emergency_stop'))
+    Key('emergency_stop_topic', 'std_msgs/Bool, true is pressed', default='emergency_stop'),
+    Key('hold_services', 'called by ~/enable so that reference and controller begin where the '
+        'robot is; empty for none', default=('trajectory/reset', 'cascade_controller/reset')))
 # below bridge
 _BRIDGE = (
     Key('state_topics', 'joint states of the robot, one or several topics',
@@ -70,8 +72,6 @@ _BRIDGE = (
     Key('skew', 'readings further apart make no state', 's', 0.01, 1e-5, 1.0),
     Key('velocity_cutoff', 'low-pass of velocities that the robot does not send', 'Hz', 50.0, 0.1,
         1e4),
-    Key('hold_service', "called by ~/enable so that the reference begins where the robot is; '' "
-        'for none', default='trajectory/reset'),
     Key('guardian', 'start a process that sends zero efforts when the bridge dies or freezes',
         default=True),
     Key('device', 'module:Class, or entry point, of a robot without ros2_control; then the '
