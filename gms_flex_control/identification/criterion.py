@@ -34,7 +34,6 @@ from gms_flex_control.identification.prediction_error import (
     free_run_error,
     simple_free,
 )
-from gms_flex_control.identification.segments import moving
 from gms_flex_control.identification.selection import JointFit
 from gms_flex_control.identification.uncertainty import Spread, torque_spread
 from gms_flex_control.simulation.predictor import PER_DIRECTION, VISCOUS
@@ -137,8 +136,8 @@ class _Criteria:
 
     def _moves(self, chosen):
         joint, bundle = self._objective.joint, self._bundle
-        return any((chosen(segment) & segment.tested[:, joint] & moving(
-            segment, joint, self._step, bundle.half[joint])).any() for segment in bundle.segments)
+        return any((chosen(segment) & bundle.judged(segment, joint, self._step)).any()
+                   for segment in bundle.segments)
 
     def wins(self, fitted) -> bool:
         """Return whether ``fitted``, _Look -> Coordinates and free numbers, passes all trials."""

@@ -18,8 +18,7 @@ from typing import NamedTuple
 from gms_flex_control.data.signal_analysis import low_pass, rms
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.friction_map import friction_torque
-from gms_flex_control.identification.objective import BLOCK_TIME, Bundle, Evaluation, Objective
-from gms_flex_control.identification.segments import moving
+from gms_flex_control.identification.objective import block_length, Bundle, Evaluation, Objective
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -135,12 +134,10 @@ class TorqueError:
 
     def __init__(self, objective: Objective, bundle: Bundle, chosen: Callable, step: float):
         self._objective, joint, blocks, used = objective, objective.joint, [], 0
-        length = max(round(BLOCK_TIME / bundle.period), 1)
         self._pieces = []  # (Segment, its friction torque by the link equation, where it counts)
         for segment in bundle.segments:
-            counts = chosen(segment) & segment.tested[:, joint] & moving(
-                segment, joint, step, bundle.half[joint])
-            block = used + np.arange(len(counts)) // length
+            counts = chosen(segment) & bundle.judged(segment, joint, step)
+            block = used + np.arange(len(counts)) // block_length(bundle.period)
             used = block[-1] + 1
             if counts.any():
                 blocks.append(block[counts])

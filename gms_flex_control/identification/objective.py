@@ -11,7 +11,7 @@ from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
-from gms_flex_control.identification.segments import own_inertias, Segment, smooth_angle
+from gms_flex_control.identification.segments import moving, own_inertias, Segment, smooth_angle
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.simulation import plant, predictor
 import numpy as np
@@ -41,10 +41,19 @@ class Bundle(NamedTuple):
         bandwidth = np.minimum(sharpness * self.observer, _FASTEST_STEP / self.period)
         return np.stack([2.0 * bandwidth, bandwidth ** 2])
 
+    def judged(self, segment: Segment, joint: int, step: float) -> np.ndarray:
+        """Return where torque judges a joint, of encoder ``step`` or noise [rad], bool (T,)."""
+        return segment.tested[:, joint] & moving(segment, joint, step, self.half[joint])
+
+
+def block_length(period: float) -> int:
+    """Return the samples of a block of time."""
+    return max(round(BLOCK_TIME / period), 1)
+
 
 def held_out(period: float, turn=0) -> Callable:
     """Return a function Segment -> bool (T,) of the samples not to be fitted in a turn."""
-    length = max(round(BLOCK_TIME / period), 1)
+    length = block_length(period)
     return lambda segment: (segment.first_block + np.arange(len(segment.angle)) // length
                             ) % FOLDS == FOLDS - 1 - turn
 
@@ -248,7 +257,7 @@ class Objective:
         """
         theta, directions = coordinates.unpack(free)
         period = self._bundle.period
-        lags, length = round(longest / period), round(BLOCK_TIME / period)
+        lags, length = round(longest / period), block_length(period)
         total = np.zeros(lags)
         for segment in self._bundle.segments:
             counted = self.counted(segment)
@@ -279,7 +288,7 @@ class Objective:
 
 def _pools(counted, error, jacobian, period):
     """Yield mean square, gradient, curvature and both counts of each block of samples."""
-    length = max(round(BLOCK_TIME / period), 1)
+    length = block_length(period)
     for begin in range(0, len(counted), length):
         rows = slice(begin, begin + length)
         count = int(counted[rows].sum())

@@ -17,7 +17,7 @@ from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.objective import Bundle, Objective
 from gms_flex_control.identification.outcome import HeldOut, Loop, Trace
-from gms_flex_control.identification.segments import moving, standing
+from gms_flex_control.identification.segments import standing
 import numpy as np
 
 HORIZON = 0.5       # of a free simulation [s]
@@ -117,7 +117,7 @@ def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, sim
             continue
         window = segment.window
         innovations.append(objective.predict(segment, theta)[1][keep])
-        keep &= moving(segment, joint, step, bundle.half[joint])
+        keep &= bundle.judged(segment, joint, step)
         measured = friction_torque(segment, bundle.arm)[:, joint]
         for errors, parameters in ((off, theta), (plain, simple)):
             errors.append(low_pass(measured - objective.resistance(segment, parameters),
