@@ -29,7 +29,7 @@ from gms_flex_control.effects.registry import find
 from gms_flex_control.simulation import plant
 import numpy as np
 
-_SOFTEST = 0.05       # of the stiffness believed, which a play has
+_SOFTEST = 0.05       # of the stiffness simulated, which a play has
 _WEIGHINGS = 3        # times that noise levels are taken anew
 _OF_SLOPE = 2000      # samples of the regression that gives the slope of a spring
 
@@ -80,29 +80,33 @@ def finite(evidence) -> float:
     return float(evidence) if np.isfinite(evidence) else -np.inf
 
 
-def log_determinant(likelihood, model) -> float | np.ndarray:
+def log_determinant(likelihood, model) -> float:
     """
-    Return the logarithm of the determinant of rows by readings, of what is not encoder noise.
+    Return the logarithm of the determinant of rows by readings, beside that of encoder noise.
 
-    Beside the motion of a link its torsion is an answer, not a choice: so the density of readings
-    is that of rows times the slope of the spring. A softer spring makes less torque of all that
-    is read wrongly, which explains none of it. What null simulations show is cleared from the
-    sums; what levels have beyond counts here. As believed the determinant is 1.
+    Beside the motion of a link its torsion and its drive are answers, not choices. The residual of
+    the link changes with the torsion by the slope of the spring, that of the motor counts per unit
+    of commanded torque: so the density of readings is that of rows times the slope. Of a variance
+    of which encoders make a share, that share falls with the square of the slope, of which sums
+    are cleared; the rest, of torques that drives and loads make or that nothing explains, does
+    not. A softer spring that explains none of it only makes less torque of the same torsion. As
+    simulated the determinant is 1.
     """
-    beyond = 1.0 - likelihood.weights(model.sums.groups)
-    if not beyond.any():
+    joints, rigid = likelihood.robot.joints, likelihood.robot.arm.rigid
+    links = [j for j, joint in enumerate(joints)
+             if not rigid[j] and joint not in likelihood.unseen]
+    if not links:
         return 0.0
-    n, joints = likelihood.robot.n_joints, likelihood.robot.joints
-    believed, out = likelihood.robot.arm.stiffness, 0.0
-    beyond = np.bincount(likelihood.groups.recording * 2 * n + likelihood.groups.channel, beyond,
-                         2 * n * len(likelihood.motions)).reshape(-1, 2, n)[:, 1]
-    seen = np.isfinite(believed) & [joint not in likelihood.unseen for joint in joints]
-    constants = likelihood.constants(model.robot, model.x)
-    for motion, count in zip(likelihood.motions, beyond * seen, strict=True):
-        if count.any():
-            ratio = np.maximum(stiffness_along(motion, constants)[seen] / believed[seen], _SOFTEST)
-            out += float(count[seen] @ np.log(ratio))
-    return out
+    groups, null = likelihood.groups, likelihood.null
+    encoders = 0.5 * likelihood.encoder_noise.own_sums / groups.count
+    beyond = 1.0 - np.minimum(encoders / likelihood.noise_levels(model.sums.groups), 1.0)
+    now, simulated = (likelihood.constants(one.robot, one.x) for one in (model, null))
+    falls = np.zeros((len(likelihood.motions), 2 * len(joints)))  # of the share of encoders
+    for m, motion in enumerate(likelihood.motions):
+        ratio = stiffness_along(motion, now)[links] / stiffness_along(motion, simulated)[links]
+        falls[m, links] = np.maximum(ratio, _SOFTEST) ** -2.0 - 1.0
+    return -0.5 * float(np.sum(np.log1p(
+        beyond[groups.group] * falls[groups.recording, groups.channel])))
 
 
 @compiled

@@ -231,7 +231,7 @@ class Likelihood:
         added, most = 0.5 * groups.sums(noise ** 2) - own, _MOST_ADDED * own
         whole = groups.sums(rows ** 2)
         # a recording that is quieter than null simulations has less noise to be cleared of
-        share = np.minimum(whole / np.maximum(own + np.maximum(added, 0.0), 1e-300), 1.0)
+        share = np.minimum(whole / np.maximum(own + added, 1e-300), 1.0)
         chance = groups.count - _LOW * np.sqrt(2.0 * groups.count)
         least = np.minimum(whole, np.maximum(chance, 0.0))  # below, clearing is no merit
         cleared = np.maximum(whole - share * np.minimum(added, most), least)
