@@ -77,6 +77,29 @@ def test_a_rotor_couples_through_a_rigid_joint_in_the_plant_as_in_the_fit(ideal_
     assert with_it < 0.2 * without
 
 
+def test_friction_acts_between_joint_and_base_along_a_motion_as_in_the_plant(ideal_robot, gains):
+    """Where the base swings at its frequency, friction of the link alone would excite it more."""
+    robot = replace(ideal_robot, effects=(EffectSpec(
+        name='base_flexibility', joint='joint1', values=(4.3, 0.35, 0.03)),))
+    motion, constants = driven_motion(robot, gains), plant.constants_of(robot)
+    again = null_simulation(motion, constants, np.random.default_rng(0))
+    still = plant.constants_of(ideal_robot)
+    with_it, without = (np.sqrt(np.mean(uniform_filter1d(
+        unexplained(again, one)[50:-50, 0], 10) ** 2)) for one in (constants, still))
+    assert with_it < 0.1 * without
+
+
+def test_a_joint_that_turns_with_its_base_has_no_viscous_friction(ideal_robot):
+    constants, work = plant.constants_of(ideal_robot), plant.workspace(2)
+    still, turning = plant.init(ideal_robot), plant.init(ideal_robot)
+    turning.dq_link[:] = turning.base_rate[:] = 0.7
+    torques = []
+    for state in (still, turning):
+        plant.friction(state, constants, work)
+        torques.append(work.friction.copy())
+    np.testing.assert_array_equal(*torques)
+
+
 def test_the_base_bends_under_the_torque_that_is_given(ideal_robot, gains):
     """Not under that which was asked for, where the model knows the difference."""
     both = tuple(EffectSpec(name=name, joint=joint, values=values) for name, joint, values in (
@@ -106,8 +129,8 @@ def test_a_late_encoder_is_cleared_where_its_motor_is_quick(ideal_robot):
         robot.joints, time, 1e-3, readings, np.zeros((2000, robot.n_joints)), np.zeros(2000),
         True, 'a tone'))
     constants = plant.constants_of(robot)
-    states, second = cleared(motion, drive_torque(motion, constants), motion.states,
-                             motion.second, constants)
+    states, second, _ = cleared(motion, drive_torque(motion, constants), motion.states,
+                                motion.second, constants)
     inner = slice(20, -20)
     angle = true[::motion.factor][inner, 1]
     assert states[inner, 3, 0] == pytest.approx(angle, abs=0.02 * 0.1)

@@ -101,7 +101,8 @@ EQUATIONS = {
     'viscous_asymmetry': ([0.03], 'friction', lambda s, a: s.friction + a * abs(s.dq_link)),
     'viscous_error': ([0.03], 'friction', lambda s, a: s.friction + a * s.dq_link)}
 # what else a term may change
-FURTHER = {'backlash': [sig.TORSION_RATE], 'base_flexibility': [sig.SENSED_MOTOR],
+FURTHER = {'backlash': [sig.TORSION_RATE],
+           'base_flexibility': [sig.SENSED_MOTOR, sig.BASE, sig.BASE_RATE],
            'motor_inertia_coupling': [sig.LINK_TORQUE - sig.WIDTH],
            'recording_delay': [row * sig.WIDTH + side for row in range(3)
                                for side in (sig.SENSED_LINK, sig.SENSED_MOTOR)]}

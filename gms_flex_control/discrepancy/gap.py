@@ -11,14 +11,10 @@ from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.fitting import at_values, numbers_of, values_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import (
-    acts,
-    cleared,
-    drive_torque,
+    as_modelled,
     fresh_state,
     inertial_torque,
-    motion_as_modelled,
     replay_friction,
-    SENSOR,
 )
 from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.thresholds import INERTIAL
@@ -266,19 +262,20 @@ def _runs_inform(likelihood):
 
 
 @compiled
-def run_freely(states, command, pushed, supply, time, period, substeps, starts, horizon, constants,
-               state, replayed, work, link, motor) -> None:
+def run_freely(states, base, command, pushed, supply, time, period, substeps, starts, horizon,
+               constants, state, replayed, work, link, motor) -> None:
     """
     Fill angles (S, horizon, n) of runs from the measured state at each of ``starts`` (S,).
 
     Blocks are loaded, and effects remember, as the measured motion up to there makes them.
     """
     n, terms = command.shape[1], constants.effects.stage_start[-1]
+    joints = states[:, :2] - base
     at, ahead = 0, 0.5 * period / substeps
     for k in range(command.shape[0]):
         if at == starts.shape[0]:
             break
-        replay_friction(k, states, period, constants, replayed, work)
+        replay_friction(k, joints, period, constants, replayed, work)
         if k == starts[at]:
             plant.take_place(k, states, command[k], time[k], state, work)
             state.memory[:] = replayed.memory
@@ -293,6 +290,7 @@ def run_freely(states, command, pushed, supply, time, period, substeps, starts, 
                     motor[at, step, j] = state.q_motor[j] - ahead * state.dq_motor[j]
                     work.signals[j, sig.SUPPLY] = supply[k + step]
                     work.outside[j] = pushed[k + step, j]
+                    state.base_rate[j] = base[k + step, 1, j]
                 plant.advance(state, command[k + step], time[k + step], period, substeps,
                               constants, work)
             at += 1
@@ -338,12 +336,10 @@ def free_runs(motion, constants, starts=None) -> tuple:
     samples, constants = motion.samples, motion.carrying(constants)
     period, n = samples.period, len(samples.joints)
     horizon, starts = _horizon(period), starts_of(motion) if starts is None else starts
-    states, readings = samples.states, samples.readings
-    if acts(constants, SENSOR) or samples.unseen:
-        states, readings = _as_modelled(motion, constants)
+    states, readings, base = as_modelled(motion, constants)
     link, motor = np.empty((2, len(starts), horizon, n))
     pushed = np.zeros_like(samples.command) if samples.pushed is None else samples.pushed
-    run_freely(states, samples.command, pushed, samples.supply, samples.time, period,
+    run_freely(states, base, samples.command, pushed, samples.supply, samples.time, period,
                max(1, round(period / _STEP)), starts, horizon, constants, fresh_state(constants),
                fresh_state(constants), plant.workspace(n), link, motor)
     rows = starts[:, None] + np.arange(horizon)
@@ -351,18 +347,6 @@ def free_runs(motion, constants, starts=None) -> tuple:
     for unseen in samples.unseen:
         link[..., unseen.joint] = motor[..., unseen.joint]
     return samples.time[starts], link, motor
-
-
-def _as_modelled(motion, constants):
-    """Return motion (T, 6, n) and readings (T, 2, n) of a recording, as the model sees them."""
-    drive = drive_torque(motion, constants)
-    states, second = motion_as_modelled(motion, constants, drive)
-    off = motion.states - cleared(motion, drive, states, second, constants)[0]
-    samples = motion.samples
-    fine = np.stack([[np.interp(samples.time, motion.time, off[:, i, j])
-                      for j in range(off.shape[2])] for i in range(6)])
-    fine = np.moveaxis(fine, 2, 0)
-    return np.ascontiguousarray(samples.states - fine), samples.readings - fine[:, [0, 3]]
 
 
 def all_known(motion, starts) -> np.ndarray:

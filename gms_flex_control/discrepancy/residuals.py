@@ -24,6 +24,7 @@ from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.simulation import plant
 import numpy as np
+from scipy.interpolate import interp1d
 
 _ACTUATOR, _TORSION, _SPRING, _FRICTION, _LINK, _MOTOR, SENSOR = (int(stage) for stage in Stage)
 _SUBSTEPS = 4         # of a sample, where an actuator changes its command
@@ -68,7 +69,7 @@ def replay_friction(k, states, period, constants, state, work) -> None:
 
 @compiled
 def friction_along(states, period, constants, state, work, friction) -> None:
-    """Fill ``friction`` (T, n) [N m] along a motion (T, 6, n); state and work are overwritten."""
+    """Fill ``friction`` (T, n) [N m] along angles and rates (T, 2, n) of joints on their bases."""
     for k in range(states.shape[0]):
         replay_friction(k, states, period, constants, state, work)
         for j in range(states.shape[2]):
@@ -77,9 +78,11 @@ def friction_along(states, period, constants, state, work, friction) -> None:
 
 @compiled
 def clear_sensor_errors(states, friction, drive, time, period, constants, state, work, true,
-                        bend) -> None:
+                        bend, base) -> None:
     """
     Fill motion ``true`` (T, 6, n) and by how much second differences ``bend`` (T, 2, n) too far.
+
+    ``base`` (T, 2, n) is filled with angle and rate of what each joint stands on.
 
     Errors of encoders are functions of the true motion, which is the measured one less these
     errors. ``friction`` (T, n) is that of the measured motion: joints turn against it where a
@@ -96,6 +99,7 @@ def clear_sensor_errors(states, friction, drive, time, period, constants, state,
                 s[j, sig.FRICTION] = friction[k, j]
             plant.run_sensors(state, period, constants, work)
             for j in range(n):
+                base[k, 0, j], base[k, 1, j] = s[j, sig.BASE], s[j, sig.BASE_RATE]
                 off[k, 0, j] = s[j, sig.SENSED_LINK] - state.q_link[j]
                 off[k, 1, j] = s[j, sig.SENSED_MOTOR] - state.q_motor[j]
         for k in range(samples):
@@ -275,7 +279,7 @@ def _secant(before, after, shift, stiffness):
 def _on_motors(motion, constants, drive, states, second):
     """Return what is missing in the motor equations along a motion (S, n)."""
     if acts(constants, SENSOR):
-        states, second = cleared(motion, drive, states, second, constants)
+        states, second, _ = cleared(motion, drive, states, second, constants)
     nothing = np.zeros_like(drive)  # links do not enter
     return _formed(motion, constants, drive, states, second, nothing, nothing, nothing, nothing)[
         :, drive.shape[1]:]
@@ -291,9 +295,9 @@ def _residuals(motion, constants, drive, states, second, way):
     friction = kept((*way, *own), partial(_friction, motion, states, constants, work))
     if acts(constants, SENSOR):
         way = (*way, motion.torque, *_key(constants, (_ACTUATOR, SENSOR)), *own)
-        states, second = kept(('cleared', *way), partial(
+        states, second, base = kept(('cleared', *way), partial(
             cleared, motion, drive, states, second, constants, friction))
-        friction = kept(way, partial(_friction, motion, states, constants, work))
+        friction = kept(way, partial(_friction, motion, states[:, :2] - base, constants, work))
     bodies = kept((*way, *_key(constants, (), *_of_bodies(constants))), partial(
         _rigid_body, states, second, constants, work))
     out = _formed(motion, constants, drive, states, second, friction, *bodies)
@@ -331,7 +335,7 @@ def _key(constants, stages, *fields):
 
 
 def _friction(motion, states, constants, work):
-    """Return the friction torques (S, n) along a motion (S, 6, n) [N m]."""
+    """Return the friction torques (S, n) along angles and rates (S, 2 or more, n) [N m]."""
     friction = np.empty((len(states), states.shape[2]))
     friction_along(states, motion.period, constants, fresh_state(constants), work, friction)
     return friction
@@ -365,13 +369,36 @@ def drive_torque(motion, constants) -> np.ndarray:
 
 
 def cleared(motion, drive, states, second, constants, friction=None) -> tuple:
-    """Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors."""
+    """
+    Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors.
+
+    And angle and rate of what each joint stands on (S, 2, n).
+    """
     work = plant.workspace(drive.shape[1])
     friction = _friction(motion, states, constants, work) if friction is None else friction
-    true, bend = np.empty_like(states), np.empty_like(second)
+    true, bend, base = np.empty_like(states), np.empty_like(second), np.empty_like(second)
     clear_sensor_errors(states, friction, drive, motion.time, motion.period, constants,
-                        fresh_state(constants), work, true, bend)
-    return true, second - bend
+                        fresh_state(constants), work, true, bend, base)
+    return true, second - bend, base
+
+
+def as_modelled(motion, constants) -> tuple:
+    """
+    Return the samples' motion (T, 6, n) and readings (T, 2, n) as a model sees them.
+
+    Cleared of the errors of its sensors, and with links that have no encoder where it has them.
+    And angle and rate of what each joint stands on (T, 2, n).
+    """
+    samples = motion.samples
+    if not (acts(constants, SENSOR) or samples.unseen):
+        return samples.states, samples.readings, np.zeros_like(samples.readings)
+    drive = drive_torque(motion, constants)
+    states, second = motion_as_modelled(motion, constants, drive)
+    true, _, base = cleared(motion, drive, states, second, constants)
+    errors = np.concatenate([motion.states - true, base], axis=1)
+    fine = interp1d(motion.time, errors, axis=0, bounds_error=False,
+                    fill_value=(errors[0], errors[-1]))(samples.time)
+    return samples.states - fine[:, :6], samples.readings - fine[:, [0, 3]], fine[:, 6:]
 
 
 def fresh_state(constants) -> np.record:

@@ -27,4 +27,6 @@ MOTOR_TORQUE = 15  # extra torque on the motor [N m]; stage MOTOR adds to it
 SENSED_LINK = 16   # what the link encoder will be given [rad]; stage SENSOR changes it
 SENSED_MOTOR = 17  # what the motor encoder will be given [rad]; stage SENSOR changes it
 SUPPLY = 18        # voltage of the supply [V]; 0 where it is not known
-WIDTH = 19
+BASE = 19          # angle of what the joint stands on [rad]; stage SENSOR changes it
+BASE_RATE = 20     # its rate, against which the joint slips [rad/s]; stage SENSOR changes it
+WIDTH = 21

@@ -58,8 +58,7 @@ def _run_loop(reference, is_effort, travel, supply, begin, first, period, subste
                          control_work)
             feedforward.feed(control_state, measured, reference[k], elapsed, feed_constants,
                              feed_state)
-        plant.gms.total(plant_state.friction, plant_state.dq_link, plant_constants.friction,
-                        plant_work.friction)
+        plant.friction(plant_state, plant_constants, plant_work)
         arrived = False
         for j in range(n):
             angles[k, 0, j], angles[k, 1, j] = measured.q_link[j], measured.dq_link[j]

@@ -31,10 +31,12 @@ def state_layout(n, n_blocks) -> np.dtype:
 
     ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n,) [rad, rad/s], where the motor side of
     a rigid joint follows its link; ``friction``, the state of its blocks; ``memory``, what the
-    effects remember; ``applied`` (n,), mean torque of the actuators over the last sample [N m].
+    effects remember; ``applied`` (n,), mean torque of the actuators over the last sample [N m];
+    ``base_rate`` (n,), of what each joint stands on, against which its friction acts [rad/s].
     """
     return records.layout(
-        *((name, FLOAT, (n,)) for name in ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'applied')),
+        *((name, FLOAT, (n,)) for name in (
+            'q_link', 'dq_link', 'q_motor', 'dq_motor', 'applied', 'base_rate')),
         ('friction', gms.state_layout(n, n_blocks)),
         ('memory', FLOAT, (effect_table.MEMORY_SIZE,)))
 
@@ -55,7 +57,8 @@ def work_layout(n) -> np.dtype:
     ``outside`` (n,) is torque on the links from outside, zero unless somebody sets it [N m].
     """
     return records.layout(('signals', FLOAT, (n, sig.WIDTH)), ('friction', FLOAT, (n,)),
-                          ('displacement', FLOAT, (n,)), ('outside', FLOAT, (n,)),
+                          ('displacement', FLOAT, (n,)), ('slip', FLOAT, (n,)),
+                          ('outside', FLOAT, (n,)),
                           ('chain', chain.work_layout(n)))
 
 
@@ -112,13 +115,21 @@ def springs(state, dt, constants, work) -> None:
 
 
 @compiled
+def friction(state, constants, work) -> None:
+    """Write the torques of blocks and viscous friction into ``work.friction``."""
+    for j in range(state.dq_link.shape[0]):
+        work.slip[j] = state.dq_link[j] - state.base_rate[j]
+    gms.total(state.friction, work.slip, constants.friction, work.friction)
+
+
+@compiled
 def torques(state, dt, constants, work) -> None:
     """Evaluate springs, friction and effects; leaves the torque on the links in work.chain.tau."""
     s, links, effects = work.signals, constants.chain, constants.effects
     n = state.q_link.shape[0]
     effect_table.run_stage(_ACTUATOR, s, state.memory, dt, effects)
     springs(state, dt, constants, work)
-    gms.total(state.friction, state.dq_link, constants.friction, work.friction)
+    friction(state, constants, work)
     for j in range(n):
         s[j, sig.FRICTION] = work.friction[j]
     for stage in (_FRICTION, _LINK, _MOTOR):
@@ -144,7 +155,10 @@ def run_sensors(state, period, constants, work) -> None:
     s = work.signals
     for j in range(state.q_link.shape[0]):
         s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = state.q_link[j], state.q_motor[j]
+        s[j, sig.BASE], s[j, sig.BASE_RATE] = 0.0, 0.0
     effect_table.run_stage(_SENSOR, s, state.memory, period, constants.effects)
+    for j in range(state.q_link.shape[0]):
+        state.base_rate[j] = s[j, sig.BASE_RATE]
 
 
 @compiled
@@ -174,8 +188,9 @@ def substep(state, command, time, dt, constants, work) -> None:
     for j in range(links.motor_inertia.shape[0]):
         s[j, sig.DDQ_LINK] = work.chain.acceleration[j]
         state.dq_link[j] += dt * work.chain.acceleration[j]
-        work.displacement[j] = dt * state.dq_link[j]
-        state.q_link[j] += work.displacement[j]
+        state.q_link[j] += dt * state.dq_link[j]
+        work.slip[j] = state.dq_link[j] - state.base_rate[j]
+        work.displacement[j] = dt * work.slip[j]
         if links.flexible[j]:
             s[j, sig.DDQ_MOTOR] = (s[j, sig.TORQUE] + s[j, sig.MOTOR_TORQUE]
                                    - s[j, sig.SPRING]) / links.motor_inertia[j]  # Eq. (1), motor
@@ -184,7 +199,7 @@ def substep(state, command, time, dt, constants, work) -> None:
         else:
             state.q_motor[j], state.dq_motor[j] = state.q_link[j], state.dq_link[j]
             s[j, sig.DDQ_MOTOR] = s[j, sig.DDQ_LINK]
-    gms.advance(state.friction, work.displacement, state.dq_link, dt, constants.friction)
+    gms.advance(state.friction, work.displacement, work.slip, dt, constants.friction)
 
 
 @compiled

@@ -5,6 +5,8 @@
 
 from gms_flex_control.effects.base import Guess, linear, Parameter, Stage, Term, wave
 from gms_flex_control.effects.signals import (
+    BASE,
+    BASE_RATE,
     DDQ_LINK,
     DDQ_MOTOR,
     DQ_LINK,
@@ -122,7 +124,8 @@ class BaseFlexibility(Term):
 
     The angles of link and motor count from the resting base, so the motion of the base shows in
     what is measured: an inertia torque -M b'' on all links after it. ``frequency`` is that of
-    the base alone. Exact for a torque held over a sample; friction follows the true angle.
+    the base alone. Exact for a torque held over a sample; friction acts between
+    joint and base.
     """
 
     name = 'base_flexibility'
@@ -137,7 +140,8 @@ class BaseFlexibility(Term):
         Parameter('frequency', 'Hz', 'natural frequency w / 2 pi', lower=0.0,
                   searched=(1.0, 20.0)),  # beyond, nothing is looked at: it would stand for a lag
         Parameter('inertia', 'kg m^2', 'inertia of the base about the joint', lower=0.0),
-        Parameter('damping', '1', 'damping ratio', lower=0.0, upper=0.99))
+        Parameter('damping', '1', 'damping ratio', lower=0.0, upper=0.99,
+                  searched=(0.0, 0.3)))  # more is no resonance of a structure
 
     @staticmethod
     def guesses(scales) -> list:
@@ -160,3 +164,5 @@ class BaseFlexibility(Term):
             memory[1] = decay * (rate * cosine - (p[2] * w * rate + w * w * x) * sine)
             s[SENSED_LINK] -= memory[0]
             s[SENSED_MOTOR] -= memory[0]
+            s[BASE] += memory[0]
+            s[BASE_RATE] += memory[1]
