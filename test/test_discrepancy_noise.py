@@ -6,11 +6,12 @@
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
-from discrepancy_runs import likelihood_of, retuned_of
+from discrepancy_runs import driven_motion, likelihood_of, retuned_of
+from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.remainder import FreeFunctions
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
-from gms_flex_control.discrepancy.thresholds import PRACTICAL
+from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
 from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.params.robot import EffectSpec
@@ -87,3 +88,13 @@ def test_what_coarse_encoders_misread_is_no_function_of_rate_or_torsion():
     likelihood = likelihood_of(case)
     free = FreeFunctions(likelihood).ranked(*retuned_of(likelihood))
     assert free[0].evidence < 0.0, free[0][:5]
+
+
+def test_a_function_of_torsion_is_a_springs_which_acts_on_link_and_motor(robot, gains):
+    """So it shows another stiffness, which a function in either equation alone does not."""
+    stiff = with_effect(robot, EffectSpec(name='stiffness_error', joint='joint2', values=(0.3,)))
+    likelihood = Likelihood([driven_motion(stiff, gains, seed=1, duration=12.0)], robot)
+    believed, columns = retuned_of(likelihood)
+    best = FreeFunctions(likelihood).ranked(believed, columns)[0]
+    assert (best.joint, best.variable) == ('joint2', 'torsion')
+    assert best.evidence > EVIDENCE

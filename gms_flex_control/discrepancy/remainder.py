@@ -180,6 +180,8 @@ class FreeFunctions:
 
     What encoders misread is in rates, torsion and residuals alike: friction steps where a rate is
     misread. Functions are cleared of what that adds, as derivatives by known parameters are.
+    One of the torsion is a spring's, which acts on link and motor alike: in one equation alone it
+    might shrink the whole, as a function of the torque.
     """
 
     def __init__(self, likelihood):
@@ -190,7 +192,8 @@ class FreeFunctions:
                 if equation == 'motor' and (robot.arm.rigid[j] or joint in likelihood.unseen):
                     continue
                 self._all += [(joint, equation, name, hats, noise.get(name))
-                              for name, hats in shapes.items()]
+                              for name, hats in shapes.items()
+                              if name != 'torsion' or equation == 'link']
 
     def ranked(self, model, columns, joint=None) -> list:
         """
@@ -215,8 +218,8 @@ class FreeFunctions:
     def _gained(self, normal, lost, joint, equation, variable, triangles, noise):
         """Return a function as a Free; sums are cleared of the noise ``lost`` (R,)."""
         likelihood, level = self._likelihood, self._likelihood.level_of(joint)
-        rows = self._rows(joint, equation, triangles)
-        least = normal.beside(rows, self._noise(joint, equation, noise, rows) @ lost,
+        rows = self._rows(joint, equation, variable, triangles)
+        least = normal.beside(rows, self._noise(joint, equation, variable, noise, rows) @ lost,
                               pull=1.0 / level ** 2)
         scaled = level * rows
         _, occam = np.linalg.slogdet(np.eye(len(rows)) + (
@@ -227,15 +230,18 @@ class FreeFunctions:
                     float(np.sqrt(np.mean(torque ** 2))), joint, equation, variable, triangles,
                     noise)
 
-    def _rows(self, joint, equation, triangles):
+    def _rows(self, joint, equation, variable, triangles):
         """Return the whitened residuals (K, R) of triangles; all functions' fill the memory."""
         likelihood, n = self._likelihood, self._likelihood.robot.n_joints
-        column = likelihood.robot.joints.index(joint) + n * (equation == 'motor')
-        return likelihood.whitened.rows_of_each(triangles, column)
+        j = likelihood.robot.joints.index(joint)
+        rows = likelihood.whitened.rows_of_each(triangles, j + n * (equation == 'motor'))
+        return (rows - likelihood.whitened.rows_of_each(triangles, j + n)
+                if variable == 'torsion' else rows)
 
-    def _noise(self, joint, equation, noise, rows):
+    def _noise(self, joint, equation, variable, noise, rows):
         """Return how ``rows`` (K, R) of a function differ in two null simulations, (K, R)."""
-        return np.zeros_like(rows) if noise is None else self._rows(joint, equation, noise)
+        return (np.zeros_like(rows) if noise is None
+                else self._rows(joint, equation, variable, noise))
 
     def left_in(self, model, columns, caution=1.0, ranked=None) -> 'Free | None':
         """
@@ -248,11 +254,11 @@ class FreeFunctions:
             if (free.evidence <= EVIDENCE
                     or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):
                 continue
-            rows = self._rows(free.joint, free.equation, free.triangles)
+            rows = self._rows(*free.place, free.triangles)
             if without is None:
                 normal = NormalEquations(self._likelihood, model, columns)
                 without = self._predicted(normal, model, columns, rows[:0], rows[:0])
-            noise = self._noise(free.joint, free.equation, free.noise, rows)
+            noise = self._noise(*free.place, free.noise, rows)
             gain = gain_over(self._predicted(normal, model, columns, rows, noise) - without)
             if gain._replace(sigmas=gain.sigmas / caution).is_real:
                 return free
@@ -300,7 +306,8 @@ def _shapes(likelihood, j):
     longest = max(motion.time[-1] - motion.time[0] for motion in motions)
     moving, *ways = ([_direction(one['link rate']) for one in run] for run in (own, *null))
     for name in (*_OF_FUNCTIONS, *(name for name in others[0] if name.startswith('link angle'))):
-        if name == 'torsion' and likelihood.robot.arm.rigid[j]:
+        if name == 'torsion' and (likelihood.robot.arm.rigid[j]
+                                  or likelihood.robot.joints[j] in likelihood.unseen):
             continue
         values = [one[name] for one in (own if name in _OF_FUNCTIONS else others)]
         # a block of time that is left out must not hold a knot alone
