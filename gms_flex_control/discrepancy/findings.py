@@ -7,6 +7,8 @@ From effects that were fitted to findings: those that are real, and what each co
 Small ones are listed apart and change no verdict.
 """
 
+from collections.abc import Iterator
+
 from gms_flex_control.discrepancy.describe import evidence_of, evidence_of_ripple
 from gms_flex_control.discrepancy.evidence import posterior, State
 from gms_flex_control.discrepancy.fitting import (
@@ -53,6 +55,17 @@ def as_given(likelihood, state, nuisances, but=()) -> State:
     model = fit(likelihood, state.model.robot, x, nuisances, plausible=farthest)
     own = effect_columns(likelihood, model, numbers_of(likelihood, model.robot))
     return State(model, nuisances, own, -np.inf, farthest)
+
+
+def parts_of(likelihood, found, held_out, most) -> Iterator[State]:
+    """Yield ``most`` States with ever fewer effects that predict best, parameters as given."""
+    part = found.best
+    for _ in range(min(len(part.key(likelihood.known)) - 1, most)):
+        part, given = min(((less, as_given(likelihood, less, found.nuisances)) for less in (
+            with_fewer(likelihood, found._replace(best=part), i)
+            for i in range(likelihood.known, len(part.model.robot.effects)))),
+            key=lambda pair: held_out.energy(pair[1]))
+        yield given
 
 
 def judged(likelihood, found, functions) -> tuple:

@@ -79,7 +79,7 @@ class Motion:
 
     @cached_property
     def settled(self) -> np.ndarray:
-        """Return where angles were read and smoothing is settled (S,), bool."""
+        """Return which samples (S,) were read and are settled after smoothing, bool."""
         middle = 0.5 * (self.time[0] + self.time[-1])
         return self.known & (np.abs(self.time - middle) < 0.5 * np.ptp(self.time) - _EDGE)
 

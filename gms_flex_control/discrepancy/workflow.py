@@ -19,6 +19,7 @@ from gms_flex_control.discrepancy.findings import (
     findings_of,
     joints_left,
     judged,
+    parts_of,
     predicting_subset,
     predictive,
 )
@@ -58,7 +59,7 @@ from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 _SIMULATED = 3        # times at most that noise is simulated anew
-_SIZES = 4            # of sets that may predict better than the one found
+_SIZES = 4            # of sets that may predict better than the one found, or be part of it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,11 +322,11 @@ def _written(likelihood, found, larger, held_out, further, named):
     main) or explain more than they leave, unless another is clearly better: with fewer, with such
     as only resemble what is missing (``larger``, a Found), or ``further`` States. Parameters are
     re-tuned, or if that may not be written as given (all, or all but those of the joints with
-    effects that are ``named``). None is written that predicts torque, the drive's torque or free
-    runs worse than the model as given, which may have been fitted to the blocks left out, or
-    effects worse than the same parameters re-tuned alone; where one of them is main, not by what
-    matters, and not clearly. A known parameter beyond its prior takes no effect's place: it is a
-    wrong belief.
+    effects that are ``named``), or else with fewer of the effects. None is written that predicts
+    torque, the drive's torque or free runs worse than the model as given, which may have been
+    fitted to the blocks left out, or effects worse than the same parameters re-tuned alone; where
+    one of them is main, not by what matters, and not clearly. A known parameter beyond its prior
+    takes no effect's place: it is a wrong belief.
     """
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
@@ -354,6 +355,9 @@ def _written(likelihood, found, larger, held_out, further, named):
             one, alone = (as_given(likelihood, state, found.nuisances, but)
                           for state in (found.best, found.before))
             wholes += [(one, alone)] if is_written(one, alone) else []
+    if found.best.key(known) and not wholes:
+        parts = parts_of(likelihood, found, held_out, _SIZES)
+        wholes = [(one, given) for one in parts if is_written(one, given)]
     other = min((given, *others), key=held_out.energy)
     other = other, found.before if other.key(known) else other
     whole = min(wholes, key=lambda pair: held_out.energy(pair[0]), default=other)
