@@ -238,7 +238,7 @@ class Loop:
         return bool(self.commands) and any(self.commands[-1].data)
 
     def release(self):
-        """Leave a fault and let the arm move again: it holds until it is told to."""
+        """Leave a fault, and start the motion again: an enabled arm holds."""
         for service in ('plant/reset', 'plant/enable', 'trajectory/start'):
             self.bench.until(lambda name=service: self.bench.call(Trigger, f'/{name}').success)
         self.bench.until(self.moves)

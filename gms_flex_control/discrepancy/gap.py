@@ -11,10 +11,14 @@ from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.fitting import at_values, numbers_of, values_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import (
-    as_modelled,
+    acts,
+    cleared,
+    drive_torque,
     fresh_state,
     inertial_torque,
+    motion_as_modelled,
     replay_friction,
+    SENSOR,
 )
 from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.thresholds import INERTIAL
@@ -25,6 +29,7 @@ from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant
 from gms_flex_control.simulation.predictor import copy_state
 import numpy as np
+from scipy.interpolate import interp1d
 
 _FARTHEST = 10.0      # errors of free runs that run away count as so much [rad]
 _SEED = 991           # of the null simulation behind the noise floor, used in no fit
@@ -336,7 +341,7 @@ def free_runs(motion, constants, starts=None) -> tuple:
     samples, constants = motion.samples, motion.carrying(constants)
     period, n = samples.period, len(samples.joints)
     horizon, starts = _horizon(period), starts_of(motion) if starts is None else starts
-    states, readings, base = as_modelled(motion, constants)
+    states, readings, base = _as_modelled(motion, constants)
     link, motor = np.empty((2, len(starts), horizon, n))
     pushed = np.zeros_like(samples.command) if samples.pushed is None else samples.pushed
     run_freely(states, base, samples.command, pushed, samples.supply, samples.time, period,
@@ -347,6 +352,25 @@ def free_runs(motion, constants, starts=None) -> tuple:
     for unseen in samples.unseen:
         link[..., unseen.joint] = motor[..., unseen.joint]
     return samples.time[starts], link, motor
+
+
+def _as_modelled(motion, constants):
+    """
+    Return the samples' motion (T, 6, n) and readings (T, 2, n) as a model sees them.
+
+    Cleared of the errors of its sensors, and with links that have no encoder where it has them.
+    And angle and rate of what each joint stands on (T, 2, n).
+    """
+    samples = motion.samples
+    if not (acts(constants, SENSOR) or samples.unseen):
+        return samples.states, samples.readings, np.zeros_like(samples.readings)
+    drive = drive_torque(motion, constants)
+    states, second = motion_as_modelled(motion, constants, drive)
+    true, _, base = cleared(motion, drive, states, second, constants)
+    errors = np.concatenate([motion.states - true, base], axis=1)
+    fine = interp1d(motion.time, errors, axis=0, bounds_error=False,
+                    fill_value=(errors[0], errors[-1]))(samples.time)
+    return samples.states - fine[:, :6], samples.readings - fine[:, [0, 3]], fine[:, 6:]
 
 
 def all_known(motion, starts) -> np.ndarray:

@@ -24,7 +24,6 @@ from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.simulation import plant
 import numpy as np
-from scipy.interpolate import interp1d
 
 _ACTUATOR, _TORSION, _SPRING, _FRICTION, _LINK, _MOTOR, SENSOR = (int(stage) for stage in Stage)
 _SUBSTEPS = 4         # of a sample, where an actuator changes its command
@@ -380,25 +379,6 @@ def cleared(motion, drive, states, second, constants, friction=None) -> tuple:
     clear_sensor_errors(states, friction, drive, motion.time, motion.period, constants,
                         fresh_state(constants), work, true, bend, base)
     return true, second - bend, base
-
-
-def as_modelled(motion, constants) -> tuple:
-    """
-    Return the samples' motion (T, 6, n) and readings (T, 2, n) as a model sees them.
-
-    Cleared of the errors of its sensors, and with links that have no encoder where it has them.
-    And angle and rate of what each joint stands on (T, 2, n).
-    """
-    samples = motion.samples
-    if not (acts(constants, SENSOR) or samples.unseen):
-        return samples.states, samples.readings, np.zeros_like(samples.readings)
-    drive = drive_torque(motion, constants)
-    states, second = motion_as_modelled(motion, constants, drive)
-    true, _, base = cleared(motion, drive, states, second, constants)
-    errors = np.concatenate([motion.states - true, base], axis=1)
-    fine = interp1d(motion.time, errors, axis=0, bounds_error=False,
-                    fill_value=(errors[0], errors[-1]))(samples.time)
-    return samples.states - fine[:, :6], samples.readings - fine[:, [0, 3]], fine[:, 6:]
 
 
 def fresh_state(constants) -> np.record:
