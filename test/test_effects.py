@@ -14,6 +14,7 @@ from gms_flex_control.effects.base import Change, Stage, Term
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import loop
+from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory.builders import hold
 import numpy as np
 import pytest
@@ -102,10 +103,14 @@ EQUATIONS = {
     'viscous_error': ([0.03], 'friction', lambda s, a: s.friction + a * s.dq_link)}
 # what else a term may change
 FURTHER = {'backlash': [sig.TORSION_RATE],
-           'base_flexibility': [sig.SENSED_MOTOR, sig.BASE, sig.BASE_RATE],
+           'base_flexibility': [sig.SENSED_MOTOR, sig.SENSED_LINK_RATE, sig.SENSED_MOTOR_RATE,
+                                sig.BASE, sig.BASE_RATE],
+           'encoder_skew': [sig.SENSED_MOTOR_RATE],
+           'link_encoder_eccentricity': [sig.SENSED_LINK_RATE],
            'motor_inertia_coupling': [sig.LINK_TORQUE - sig.WIDTH],
            'recording_delay': [row * sig.WIDTH + side for row in range(3)
-                               for side in (sig.SENSED_LINK, sig.SENSED_MOTOR)]}
+                               for side in (sig.SENSED_LINK, sig.SENSED_MOTOR,
+                                            sig.SENSED_LINK_RATE, sig.SENSED_MOTOR_RATE)]}
 # values with which an effect does nothing
 NOTHING = {name: [0.0] * len(registry.find(name).parameters) for name in TERMS}
 NOTHING |= {'actuator_saturation': [1e6], 'end_stop': [10.0, 0.0], 'load_friction': [0.0, 1e-3]}
@@ -210,6 +215,26 @@ def test_a_term_with_values_changes_the_run(ideal_robot, name):
     runs = [push_plant(robot, command, 2e-3, substeps=4)
             for robot in (ideal_robot, replace(ideal_robot, effects=(spec,)))]
     assert np.abs(runs[0][-1, 0] - runs[1][-1, 0]).max() > 1e-6
+
+
+@pytest.mark.parametrize(('name', 'values'), [
+    ('base_flexibility', (6.0, 0.05, 0.05)), ('encoder_skew', (2e-3,)),
+    ('link_encoder_eccentricity', (0.1, 0.3)), ('recording_delay', (2e-3,))])
+def test_an_encoder_that_reads_rates_reads_those_of_the_angles_it_reads(ideal_robot, name, values):
+    """Against central differences of what was read, which are off by period^2 / 6 q'''."""
+    spec = EffectSpec(name=name, joint='joint1', values=values)
+    period, read, true = 2.5e-4, [], []
+    plant = SteppedPlant(replace(ideal_robot, effects=(spec,)), period=period, substeps=20)
+    plant.measure()
+    for k in range(4000):
+        seen = plant.measured
+        read.append(np.array([[seen.q_link, seen.q_motor], [seen.dq_link, seen.dq_motor]]))
+        true.append([plant.state.dq_link.copy(), plant.state.dq_motor.copy()])
+        plant.advance(0.3 * np.sin(2 * np.pi * period * k * np.array([3.0, 4.0])))
+    angles, rates = np.swapaxes(read, 0, 1)
+    differences = (angles[2:] - angles[:-2]) / (2 * period)
+    error, without = (np.abs(of[1:-1] - differences)[100:].max() for of in (rates, np.array(true)))
+    assert error < 0.05 * without
 
 
 @pytest.mark.parametrize('substep', [DT, 2e-3])

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Encoders: counts, noise, and the low-passed velocity."""
 
+from gms_flex_control.effects import signals as sig
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.simulation import encoder
 import numpy as np
@@ -16,12 +17,15 @@ PERIOD = 2e-3
 def measure(angles, params, seed=0, rates=None):
     """Return what two encoders read along ``angles`` (T, 2): (T, 4, 2) as Run.measured."""
     state, constants = encoder.init(2), encoder.constants_of(params)
-    rng = np.random.default_rng(seed)
+    rng, signals = np.random.default_rng(seed), np.zeros((2, sig.WIDTH))
     rates = np.zeros_like(angles) if rates is None else rates
     out = []
     for angle, rate in zip(angles, rates, strict=True):
         encoder.draw(state, constants, rng)
-        encoder.measure(state, angle, 2 * angle, rate, 3 * rate, PERIOD, constants)
+        signals[:, [sig.SENSED_LINK, sig.SENSED_LINK_RATE]] = np.stack([angle, rate], axis=1)
+        signals[:, [sig.SENSED_MOTOR, sig.SENSED_MOTOR_RATE]] = np.stack(
+            [2 * angle, 3 * rate], axis=1)
+        encoder.measure(state, signals, PERIOD, constants)
         seen = state.output
         out.append(np.stack([seen.q_link, seen.dq_link, seen.q_motor, seen.dq_motor]))
     return np.array(out)

@@ -8,6 +8,7 @@ from functools import cache, lru_cache
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.control.cascade import measured_layout
+from gms_flex_control.effects import signals as sig
 from gms_flex_control.records import FLOAT
 import numpy as np
 
@@ -61,34 +62,34 @@ def _count(angle, normal, constants):
 
 
 @compiled_part
-def _velocity(velocity, change, true_velocity, started, period, gain):
-    """Return the low-passed difference quotient, or the true velocity without a filter gain."""
+def _velocity(velocity, change, rate, started, period, gain):
+    """Return the low-passed difference quotient, or the ``rate`` without a filter gain."""
     if gain == 0.0:
-        return true_velocity
+        return rate
     if not started:
         return 0.0
     return velocity + gain * (change / period - velocity)
 
 
 @compiled
-def measure(state, seen_link, seen_motor, dq_link, dq_motor, period, constants) -> None:
+def measure(state, signals, period, constants) -> None:
     """
     Write one sample of all encoders into ``state.output``, with noise from `draw`.
 
-    ``seen_link``, ``seen_motor`` (n,) are the angles the encoders are given [rad]; the true rates
-    ``dq_link``, ``dq_motor`` (n,) are read where there is no velocity cut-off [rad/s].
+    ``signals`` (n, WIDTH) have the angles that the encoders are given, and their rates, which are
+    read where there is no velocity cut-off.
     """
     measured, normal, started = state.output, state.normal, state.started[0] > 0.0
     gain = 1.0 - np.exp(-2.0 * np.pi * constants.velocity_cutoff[0] * period)
     for j in range(measured.q_link.shape[0]):
-        angle = _count(seen_link[j], normal[j, 0], constants)
+        angle = _count(signals[j, sig.SENSED_LINK], normal[j, 0], constants)
         measured.dq_link[j] = _velocity(
-            measured.dq_link[j], angle - measured.q_link[j], dq_link[j], started, period,
-            gain)
+            measured.dq_link[j], angle - measured.q_link[j], signals[j, sig.SENSED_LINK_RATE],
+            started, period, gain)
         measured.q_link[j] = angle
-        angle = _count(seen_motor[j], normal[j, 1], constants)
+        angle = _count(signals[j, sig.SENSED_MOTOR], normal[j, 1], constants)
         measured.dq_motor[j] = _velocity(
-            measured.dq_motor[j], angle - measured.q_motor[j], dq_motor[j], started, period,
-            gain)
+            measured.dq_motor[j], angle - measured.q_motor[j], signals[j, sig.SENSED_MOTOR_RATE],
+            started, period, gain)
         measured.q_motor[j] = angle
     state.started[0] = 1.0

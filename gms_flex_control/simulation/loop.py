@@ -33,9 +33,7 @@ class Run:
 def sense(sensed, state, time, period, constants, encoders, work) -> None:
     """Measure one sample with the noise drawn before: sensor effects first, then encoders."""
     plant.sensed(state, state.applied, time, period, constants, work)
-    s = work.signals
-    encoder.measure(sensed, s[:, sig.SENSED_LINK], s[:, sig.SENSED_MOTOR], state.dq_link,
-                    state.dq_motor, period, encoders)
+    encoder.measure(sensed, work.signals, period, encoders)
 
 
 @compiled

@@ -144,17 +144,18 @@ def torques(state, dt, constants, work) -> None:
 
 @compiled_part
 def sensed(state, command, time, period, constants, work) -> None:
-    """Write the angles that encoders are given into the signals, errors of sensors included."""
+    """Write what encoders are given into the signals, errors of sensors included."""
     fill_signals(state, command, time, work)
     run_sensors(state, period, constants, work)
 
 
 @compiled
 def run_sensors(state, period, constants, work) -> None:
-    """Write the angles that encoders are given, with all other signals filled before."""
+    """Write angles and rates that encoders are given, with all other signals filled before."""
     s = work.signals
     for j in range(state.q_link.shape[0]):
-        s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = state.q_link[j], state.q_motor[j]
+        s[j, sig.SENSED_LINK], s[j, sig.SENSED_LINK_RATE] = state.q_link[j], state.dq_link[j]
+        s[j, sig.SENSED_MOTOR], s[j, sig.SENSED_MOTOR_RATE] = state.q_motor[j], state.dq_motor[j]
         s[j, sig.BASE], s[j, sig.BASE_RATE] = 0.0, 0.0
     effect_table.run_stage(_SENSOR, s, state.memory, period, constants.effects)
     for j in range(state.q_link.shape[0]):

@@ -168,11 +168,11 @@ def sense(x, time, period, c, sensed, encoders, rng):
     s = x.signals
     fill(x, x.q, x.v, x.q_motor, x.v_motor, x.applied, time)
     for j in range(x.q.shape[0]):
-        s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = s[j, sig.Q_LINK], s[j, sig.Q_MOTOR]
+        s[j, sig.SENSED_LINK], s[j, sig.SENSED_LINK_RATE] = x.q[j], x.v[j]
+        s[j, sig.SENSED_MOTOR], s[j, sig.SENSED_MOTOR_RATE] = x.q_motor[j], x.v_motor[j]
     effect_table.run_stage(_SENSOR, s, x.memory, period, c.effects)
     encoder.draw(sensed, encoders, rng)
-    encoder.measure(sensed, s[:, sig.SENSED_LINK], s[:, sig.SENSED_MOTOR], s[:, sig.DQ_LINK],
-                    s[:, sig.DQ_MOTOR], period, encoders)
+    encoder.measure(sensed, s, period, encoders)
 
 
 @compiled

@@ -15,7 +15,9 @@ from gms_flex_control.effects.signals import (
     JOINTS,
     Q_LINK,
     SENSED_LINK,
+    SENSED_LINK_RATE,
     SENSED_MOTOR,
+    SENSED_MOTOR_RATE,
     TORQUE,
     WIDTH,
 )
@@ -23,7 +25,7 @@ import numpy as np
 
 
 class EncoderSkew(Term):
-    """Measured q_motor(t) -> q_motor(t - delay), to second order in the delay."""
+    """Measured q_motor(t) -> q_motor(t - delay), to second order in the delay, rates to first."""
 
     name = 'encoder_skew'
     words = 'The two encoders of a joint are not read at the same time'
@@ -38,6 +40,7 @@ class EncoderSkew(Term):
     @staticmethod
     def apply(s, p, memory, dt) -> None:
         s[SENSED_MOTOR] -= p[0] * (s[DQ_MOTOR] - 0.5 * p[0] * s[DDQ_MOTOR])
+        s[SENSED_MOTOR_RATE] -= p[0] * s[DDQ_MOTOR]
 
 
 class LinkEncoderEccentricity(Term):
@@ -58,6 +61,7 @@ class LinkEncoderEccentricity(Term):
     @staticmethod
     def apply(s, p, memory, dt) -> None:
         s[SENSED_LINK] += p[0] * np.sin(s[Q_LINK] + p[1])
+        s[SENSED_LINK_RATE] += p[0] * np.cos(s[Q_LINK] + p[1]) * s[DQ_LINK]
 
 
 _BEYOND = 1.0  # for how long the first and the last torque are held outside the recording [s]
@@ -85,8 +89,8 @@ class RecordingDelay(Term):
     """
     Measured q(t) -> q(t - delay) of all links and motors, to second order in the delay.
 
-    A fault of the recording: the drives act in time, torques are merely stamped early against
-    the angles (delay above zero) or late (below).
+    Their rates are so to first order. A fault of the recording: the drives act in time, torques
+    are merely stamped early against the angles (delay above zero) or late (below).
     """
 
     name = 'recording_delay'
@@ -116,6 +120,8 @@ class RecordingDelay(Term):
                 k + DDQ_LINK])
             s[k + SENSED_MOTOR] -= p[0] * (s[k + DQ_MOTOR] - 0.5 * p[0] * s[
                 k + DDQ_MOTOR])
+            s[k + SENSED_LINK_RATE] -= p[0] * s[k + DDQ_LINK]
+            s[k + SENSED_MOTOR_RATE] -= p[0] * s[k + DDQ_MOTOR]
 
 
 class BaseFlexibility(Term):
@@ -164,5 +170,7 @@ class BaseFlexibility(Term):
             memory[1] = decay * (rate * cosine - (p[2] * w * rate + w * w * x) * sine)
             s[SENSED_LINK] -= memory[0]
             s[SENSED_MOTOR] -= memory[0]
+            s[SENSED_LINK_RATE] -= memory[1]
+            s[SENSED_MOTOR_RATE] -= memory[1]
             s[BASE] += memory[0]
             s[BASE_RATE] += memory[1]
