@@ -69,7 +69,7 @@ def demo_next(args) -> int:
         found = separate(task.recordings(), task.robot, task.sets, task.gains, task.limits,
                          partial(_driven, runner, files[:2], plant, out), period=task.period,
                          budget=args.budget, longest=args.budget, say=say)
-    report_separation(found, task, [believed], out, args.json)
+    report_separation(found, task, [believed], out, args)
     return int([one.effects for one in found.left] != [hidden])
 
 

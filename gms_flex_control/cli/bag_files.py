@@ -6,7 +6,7 @@
 from dataclasses import asdict
 import sys
 
-from gms_flex_control.cli.terminal import import_ros
+from gms_flex_control.cli.terminal import end, import_ros
 from gms_flex_control.file_io import as_json
 
 
@@ -14,8 +14,7 @@ def info(args) -> int:
     """Print the summary of a bag; return 0, or 1 for a damaged bag."""
     from gms_flex_control.data.bag import summarise
     summary = summarise(args.bag)
-    print(as_json(asdict(summary)) if args.json else summary.text())
-    return int(bool(summary.damage))
+    return end(args, asdict(summary), summary.text(), code=int(bool(summary.damage)))
 
 
 def record(args) -> int:

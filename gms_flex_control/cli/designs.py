@@ -11,7 +11,7 @@ from typing import NamedTuple
 from gms_flex_control.answer import Answer, command, Number
 from gms_flex_control.cli.recordings import read_experiment_of
 from gms_flex_control.cli.robots import controller_of
-from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
+from gms_flex_control.cli.terminal import end, import_ros, progress, refuse_unwritable, say
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.conditions import conditions_of, KEYS, OF_ROBOT, repeat_conditions
 from gms_flex_control.design import plan as planning
@@ -21,7 +21,7 @@ from gms_flex_control.design.separation import beliefs_of, closed_loop_plan, loa
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import simulate_to_bag
-from gms_flex_control.file_io import as_json, write_json, written_together
+from gms_flex_control.file_io import write_json, written_together
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import together
 from gms_flex_control.params.gains import ControllerParams
@@ -66,19 +66,21 @@ def next_recording(args) -> int:
     trajectory, load = write_files(plan, out), plan.best.candidate.load
     if load is not None:  # to be put into the folder of the new bag
         repeat_conditions(task.bags[-1], out, OF_ROBOT, load)
-    if args.json:
-        print(as_json(_as_dict(plan)))
-        return int(plan.probability < planning.LIKELY)
     numbers = tuple(Number(
         f'{one.duration:.0f} s of {one.candidate.words}',
         f'{100.0 * plan.share(one):.0f} %', f'{plan.pace(one):.2g}', '')
         for one in plan.compared[:3])
-    conclude(Answer(plan.sentence(), (
-        'leaves the true one', 'log Bayes factor a second', ''), numbers, command(
-        'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',
-        f'{plan.best.duration:.0f}', '--out', out / 'bag')),
-        {'motion': trajectory, 'picture': out / 'plan.png', 'numbers': out / 'plan.json'})
-    return int(plan.probability < planning.LIKELY)
+    return end(args, _as_dict(plan), '', Answer(plan.sentence(), (
+        'leaves the true one', 'log Bayes factor a second', ''), numbers, _simulated(
+            args, trajectory, plan.best.duration, out)),
+        {'motion': trajectory, 'picture': out / 'plan.png', 'numbers': out / 'plan.json'},
+        code=int(plan.probability < planning.LIKELY))
+
+
+def _simulated(args, trajectory, duration, out, *further):
+    """Return the command that simulates a planned motion."""
+    return command('simulate', '--robot', *args.robot, *further, '--trajectory', trajectory,
+                   '--duration', f'{duration:.0f}', '--out', out / 'bag')
 
 
 def _loaded(args):
@@ -115,17 +117,12 @@ def _determine(report, args, out):
             files['experiments'] = out / 'identification.yaml'
             save_values(plan.experiments.values, files['experiments'], comment=experiments)
         write_json(files['numbers'], values)
-    if args.json:
-        print(as_json(values))
-        return 0
     numbers = tuple(Number(f'{name} [%]', *(f'{100.0 * sd:.2g}' for sd in pair), '')
                     for name, *pair in zip(plan.missing, plan.before.sd, plan.best.sd,
                                            strict=True))
     sentence_of_all = ' '.join(filter(None, (plan.sentence(), experiments)))
-    conclude(Answer(sentence_of_all, columns, numbers[:3], command(
-        'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',
-        f'{plan.duration:.0f}', '--out', out / 'bag')), files)
-    return 0
+    return end(args, values, '', Answer(sentence_of_all, columns, numbers[:3], _simulated(
+        args, trajectory, plan.duration, out)), files)
 
 
 def _task(report, args):
@@ -168,7 +165,7 @@ def _carry_out(task, args, out):
         task.recordings(), task.robot, task.sets, task.gains, task.limits, drive,
         period=task.period, odds=args.odds, budget=args.budget, longest=args.longest,
         weight=args.weight, say=say)
-    report_separation(found, task, args.robot, out, args.json)
+    report_separation(found, task, args.robot, out, args)
     return int(found.verdict != planning.ONE_LEFT)
 
 
@@ -207,7 +204,7 @@ def write_files(plan, out) -> Path:
     return trajectory
 
 
-def report_separation(found, task, robot_files, out, in_json=False) -> None:
+def report_separation(found, task, robot_files, out, args) -> None:
     """Write and print what a Separation ended with."""
     values = separation_values(found)
     files = {'numbers': out / 'separation.json'}
@@ -216,9 +213,6 @@ def report_separation(found, task, robot_files, out, in_json=False) -> None:
         if found.rounds:
             files['picture'] = out / 'separation.png'
             save_figure(separated_figure(found), files['picture'])
-    if in_json:
-        print(as_json(values))
-        return
     before = (found.rounds[0].plan if found.rounds else found).beliefs
     shares = {one.effects: share for one, share in zip(before.hypotheses, before.probabilities,
                                                        strict=True)}
@@ -226,7 +220,7 @@ def report_separation(found, task, robot_files, out, in_json=False) -> None:
                            f'{share:.3g}', '') for one, share in zip(
         found.beliefs.hypotheses, found.beliefs.probabilities, strict=True))
     new = [out / str(k + 1) / 'bag' for k in range(len(found.rounds))]
-    conclude(Answer(found.sentence(), ('before', 'after', ''), numbers[:3], command(
+    end(args, values, '', Answer(found.sentence(), ('before', 'after', ''), numbers[:3], command(
         'discrepancy', *task.bags, *new, '--robot', *robot_files, '--out', out / 'gap')), files)
 
 
@@ -308,8 +302,7 @@ def plan(args) -> int:
     with in_one_thread():
         found = plan_excitation(
             robot, bounds, period=args.period, harmonics=args.harmonics, repeats=args.repeats,
-            radius=args.radius, seed=args.seed,
-            say=(lambda _: None) if args.json else lambda text: say(f'  {text} ...'))
+            radius=args.radius, seed=args.seed, say=progress(args, '  {} ...'))
     out = Path(args.out)
     words, trajectory = sentence(found, robot.joints), out / 'trajectory.yaml'
     values = {'condition_number': found.condition, 'sinusoids': found.usual,
@@ -319,16 +312,10 @@ def plan(args) -> int:
     with written_together():
         save_values(found.values, trajectory, comment=words)
         write_json(out / 'plan.json', values)
-    if args.json:
-        print(as_json(values))
-        return 0
     shares = [Number(f'largest {name} [% of its limit]', '-', f'{100.0 * share:.0f}', '100')
               for name, share in found.used.items()]
-    conclude(Answer(words, ('sinusoids', 'plan', 'limit'), (
+    gains = Path(args.robot[0]).with_name('controller.yaml')
+    return end(args, values, '', Answer(words, ('sinusoids', 'plan', 'limit'), (
         Number('condition number', f'{found.usual:.3g}', f'{found.condition:.3g}', '-'),
-        *shares), command(
-            'simulate', '--robot', *args.robot, '--controller',
-            Path(args.robot[0]).with_name('controller.yaml'), '--trajectory', trajectory,
-            '--duration', f'{found.trajectory.end:.0f}', '--out', out / 'bag')),
+        *shares), _simulated(args, trajectory, found.trajectory.end, out, '--controller', gains)),
         {'motion': trajectory, 'numbers': out / 'plan.json'})
-    return 0

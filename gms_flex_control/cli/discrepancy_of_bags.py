@@ -9,7 +9,7 @@ import sys
 from textwrap import fill
 
 from gms_flex_control.cli.recordings import read_experiment_of
-from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
+from gms_flex_control.cli.terminal import end, progress, refuse_repeated, refuse_unwritable
 from gms_flex_control.discrepancy.closed_loop import segment_of, with_closed_loop
 from gms_flex_control.discrepancy.compared import as_found, compare
 from gms_flex_control.discrepancy.learning import learn
@@ -17,7 +17,7 @@ from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, ConfigError
-from gms_flex_control.file_io import as_json, write_json, written_together
+from gms_flex_control.file_io import write_json, written_together
 from gms_flex_control.reports import discrepancy_values as files
 from gms_flex_control.reports.answers import discrepancy_answer
 from gms_flex_control.reports.discrepancy_page import units_of, write_discrepancy_report
@@ -55,8 +55,9 @@ def _answered(args):
 def _searched(recordings, robot, options, holdout, args):
     """Return the Discrepancy; raise BagError where forced data leave no number to go on with."""
     try:
-        found = find_discrepancy(recordings, robot, options, holdout=holdout, say=_progress(args))
-        return learn(found, holdout=holdout, say=_progress(args)) if args.learn else found
+        told = progress(args, '  {} ...')
+        found = find_discrepancy(recordings, robot, options, holdout=holdout, say=told)
+        return learn(found, holdout=holdout, say=told) if args.learn else found
     except (np.linalg.LinAlgError, ValueError) as error:
         if not args.force:
             raise
@@ -102,21 +103,17 @@ def _earlier(out):
 
 
 def _printed(result, compared, values, args):
-    out, bad, words = Path(args.out), result.verdict == BAD_DATA, units_of(result)
-    if args.json:
-        print(as_json(values))
-    elif bad:
-        print(fill(f'gms_flex discrepancy: {result.words}', _WIDTH, break_on_hyphens=False),
-              file=sys.stderr)
-    elif result.details:
-        print(fill(words(result.details), _WIDTH, break_on_hyphens=False))
-    if not args.json and not bad:
-        if compared:
-            print(words(f'\n{files.comparison_text(compared, result.gap.joints)}'))
-        conclude(discrepancy_answer(result, out), {
-            'model': out / 'robot.yaml', 'report': out / 'report.html',
-            'numbers': out / 'report.json'}, words)
-    return 2 if bad else int(result.verdict != COMPLETE)
+    out, words = Path(args.out), units_of(result)
+    if result.verdict == BAD_DATA:
+        if not args.json:
+            print(fill(f'gms_flex discrepancy: {result.words}', _WIDTH, break_on_hyphens=False),
+                  file=sys.stderr)
+        return end(args, values, code=2)
+    text = (fill(words(result.details), _WIDTH, break_on_hyphens=False),
+            compared and f'\n{files.comparison_text(compared, result.gap.joints)}')
+    return end(args, values, '\n'.join(filter(None, text)), discrepancy_answer(result, out), {
+        'model': out / 'robot.yaml', 'report': out / 'report.html',
+        'numbers': out / 'report.json'}, words, int(result.verdict != COMPLETE))
 
 
 def _options_of(args):
@@ -146,8 +143,3 @@ def _models_of(args, robot):
                               f'are not those of --robot ({", ".join(robot.joints)})')
         models.append((str(file), model))
     return models
-
-
-def _progress(args):
-    """Return the function that prints progress: on a terminal only, and beside the results."""
-    return (lambda text: None) if args.json else lambda text: say(f'  {text} ...')

@@ -6,7 +6,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
+from gms_flex_control.cli.terminal import end, progress, refuse_repeated, refuse_unwritable
 from gms_flex_control.comparison.tracking import Run
 from gms_flex_control.data import metadata
 from gms_flex_control.data.conditions import NAME, UNKNOWN
@@ -17,7 +17,7 @@ from gms_flex_control.data.reader import joint_names, read_experiment, read_reco
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError, ConfigError
-from gms_flex_control.file_io import as_json, share_path, write_text, written_together
+from gms_flex_control.file_io import share_path, write_text, written_together
 from gms_flex_control.identification import output
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
@@ -47,15 +47,12 @@ def import_csv(args) -> int:
     if currents:
         write_text(Path(args.out) / NAME, 'torque_constant:  # N m per unit of effort\n' + ''.join(
             f'  {joint}: {UNKNOWN}\n' for joint in currents))
-    if args.json:
-        print(as_json({'bag': str(args.out), 'joints': names, 'motors': log.motors,
-                       'samples': len(log.recording.time), 'duration': log.recording.time[-1],
-                       'remarks': log.remarks, 'suspicions': found}))
-    else:
-        lines = [log.summary(), *(f'  suspicious: {text}' for text in found)]
-        words = in_currents if len(currents) == len(names) else str
-        print(words('\n'.join([*lines, f'written to {args.out}'])))
-    return 0
+    values = {'bag': str(args.out), 'joints': names, 'motors': log.motors,
+              'samples': len(log.recording.time), 'duration': log.recording.time[-1],
+              'remarks': log.remarks, 'suspicions': found}
+    lines = [log.summary(), *(f'  suspicious: {text}' for text in found), f'written to {args.out}']
+    return end(args, values, '\n'.join(lines),
+               words=in_currents if len(currents) == len(names) else str)
 
 
 def suspicions(recording) -> list[str]:
@@ -81,12 +78,8 @@ def analyse(args) -> int:
     runs = [Run(*label, read_recording(bag, args.joints, args.motors))
             for bag, label in zip(args.bags, labels, strict=True)]
     table = recordings_page.write_tracking_report(runs, args.out)
-    if args.json:
-        print(as_json(table.as_dict()))
-    else:
-        print(table.text())
-        conclude(table.answer(), {'report': Path(args.out) / 'report.html'})
-    return 0
+    return end(args, table.as_dict(), table.text(), table.answer(),
+               {'report': Path(args.out) / 'report.html'})
 
 
 def bag_label(path) -> tuple[str, str]:
@@ -125,26 +118,20 @@ def identify_bags(args) -> int:
     """Identify, write and print; return 0."""
     refuse_unwritable(args.out)
     refuse_repeated(args.bags, args.holdout)
-    options = _options_of(args)
-    found, out = _written(args, options, (lambda _: None) if args.json else say), Path(args.out)
-    if args.json:
-        print(as_json(output.report_json(found)))
-        return 0
-    words = found.in_units
-    print(words(identification_text(found)))
-    conclude(identification_answer(found, out, args.robot or ()), {
-        'parameters': out / 'friction.yaml', 'report': out / 'report.html',
-        'numbers': out / 'report.json'}, words)
-    return 0
+    found, out = _written(args, _options_of(args)), Path(args.out)
+    return end(args, output.report_json(found), identification_text(found),
+               identification_answer(found, out, args.robot or ()), {
+                   'parameters': out / 'friction.yaml', 'report': out / 'report.html',
+                   'numbers': out / 'report.json'}, found.in_units)
 
 
-def _written(args, options, progress):
+def _written(args, options):
     """Return the Identification of the bags fitted together, its files written to --out."""
     robot, described = _robot_of(args), args.robot is not None
     recordings, apart = ([read_experiment_of(path, robot, not described) for path in paths]
                          for paths in (args.bags, args.holdout))
-    found = replace(identify(recordings, robot, holdouts=apart, options=options, say=progress),
-                    described=described)
+    found = replace(identify(recordings, robot, holdouts=apart, options=options,
+                             say=progress(args)), described=described)
     out = Path(args.out)
     with written_together():
         output.write_friction(found, out / 'friction.yaml')

@@ -7,12 +7,12 @@ from itertools import product
 from pathlib import Path
 
 from gms_flex_control.answer import command
-from gms_flex_control.cli.terminal import write_or_print
+from gms_flex_control.cli.terminal import end, write_or_print
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from gms_flex_control.exports import mujoco, target
-from gms_flex_control.file_io import as_json, controller_file, robot_file, share_path
+from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.schema.files import load_limits, load_robot
 from gms_flex_control.schema.urdf import robot_urdf
@@ -47,13 +47,9 @@ def simulate(args) -> int:
             square = in_units(plan.robot.arm, 'rad^2')
             print(f'{bag}: {plan.motion}, {plan.gains.compensation}, {plan.duration:g} s, '
                   f'MSE per link [{square}]  {shown}')
-    if args.json:
-        print(as_json(results))
-        return 0
     bags = [one['bag'] for one in results]
     again = ('analyse', *bags, '--out', Path(args.out) / 'results') if several else ('view', *bags)
-    print(f'\nnext: {command(*again)}')
-    return 0
+    return end(args, results, f'\nnext: {command(*again)}')
 
 
 def controller_of(args, joints) -> list | Path:
@@ -97,14 +93,9 @@ def trajectory_file(name) -> Path:
 def effects(args) -> int:
     """Print the effects of the catalogue; return 0."""
     found = [_effect_values(registry.find(name)) for name in args.names or registry.names()]
-    if args.json:
-        print(as_json(found))
-        return 0
-    for entry in found:
-        print(f'{entry["name"]}: {entry["what"]}')
-        for one in entry['parameters']:
-            print(f'    {one["key"]}  [{one["unit"]}]  {one["meaning"]}')
-    return 0
+    return end(args, found, '\n'.join(line for entry in found for line in (
+        f'{entry["name"]}: {entry["what"]}',
+        *(f'    {one["key"]}  [{one["unit"]}]  {one["meaning"]}' for one in entry['parameters']))))
 
 
 def _effect_values(kind):

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What verbs share: progress on the terminal, folders to be written, batches, and ROS."""
 
+from collections.abc import Callable
 import hashlib
 from importlib import import_module
 from pathlib import Path
@@ -14,7 +15,7 @@ from types import ModuleType
 
 from gms_flex_control.answer import align, Answer, unbroken
 from gms_flex_control.errors import BagError, ConfigError
-from gms_flex_control.file_io import write_text
+from gms_flex_control.file_io import as_json, write_text
 
 _WIDTH = 96  # of what is printed as sentences
 
@@ -23,6 +24,11 @@ def say(text: str) -> None:
     """Print a line of progress, beside the results and on a terminal only."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)
+
+
+def progress(args, form: str = '{}') -> Callable[[str], None]:
+    """Return what says a ``form`` of each text, or nothing with --json."""
+    return (lambda _: None) if args.json else lambda text: say(form.format(text))
 
 
 def import_ros(module: str = 'rclpy', hint: str = '') -> ModuleType:
@@ -42,6 +48,24 @@ def write_or_print(text: str, out, what: str) -> None:
         print(f'{out}: {what}')
     else:
         print(text, end='')
+
+
+def end(args, values, text: str = '', answer: Answer | None = None, files: dict | None = None,
+        words=str, code: int = 0) -> int:
+    """
+    Print what a verb ends with, and return its exit code.
+
+    That is ``values`` as JSON with --json; else a ``text``, what each of ``files`` holds and an
+    Answer, so far as they are given, ``words`` applied to them.
+    """
+    if args.json:
+        print(as_json(values))
+        return code
+    if text:
+        print(words(text))
+    if answer is not None:
+        conclude(answer, files, words)
+    return code
 
 
 def conclude(answer: Answer, files: dict, words=str) -> None:

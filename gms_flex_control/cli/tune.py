@@ -11,16 +11,10 @@ from pathlib import Path
 from gms_flex_control import __version__, results
 from gms_flex_control.batches import run_batch
 from gms_flex_control.cli.robots import controller_of
-from gms_flex_control.cli.terminal import conclude, refuse_unwritable
+from gms_flex_control.cli.terminal import end, refuse_unwritable
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.file_io import (
-    as_json,
-    controller_file,
-    robot_file,
-    write_json,
-    written_together,
-)
+from gms_flex_control.file_io import controller_file, robot_file, write_json, written_together
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.reports import comparison_page, tuning_page
@@ -51,15 +45,12 @@ def tune(args) -> int:
         if not proposal.unmet:
             _write(args, robot, proposal, demands)
         write_json(Path(args.out) / 'tuning.json', values)
-    if args.json:
-        print(as_json(values))
-    else:
-        written = {} if proposal.unmet else {'gains': Path(args.out) / 'controller.yaml'}
-        answer = tuning_page.answer_of(proposal, trials, robot, demands, args.robot or (),
-                                       args.out)
-        conclude(answer, written | {'numbers': Path(args.out) / 'tuning.json'}, units)
+    written = {} if proposal.unmet else {'gains': Path(args.out) / 'controller.yaml'}
     found = values.get('verify', {'lost': [], 'unstable': []})
-    return int(bool(proposal.unmet or found['lost'] or found['unstable']))
+    return end(args, values, '', tuning_page.answer_of(
+        proposal, trials, robot, demands, args.robot or (), args.out),
+        written | {'numbers': Path(args.out) / 'tuning.json'}, units,
+        int(bool(proposal.unmet or found['lost'] or found['unstable'])))
 
 
 def _asked(args):
@@ -127,11 +118,8 @@ def check_gains(args) -> int:
     """Print the conditions on the gains; return 0, or 1 where one does not hold."""
     robot = load_robot(args.robot or robot_file())
     report = check(load_controller(args.controller or controller_file(), robot), robot)
-    if args.json:
-        print(as_json(_gains_values(report)))
-    else:
-        print(tuning_page.conditions_text(report))
-    return 0 if report.met else 1
+    return end(args, _gains_values(report), tuning_page.conditions_text(report),
+               code=int(not report.met))
 
 
 def _gains_values(report):
@@ -157,10 +145,6 @@ def compare(args) -> int:
         write_json(numbers, values)
         comparison_page.plant_page(found.rows, found.outcomes, found.setting,
                                    args.robot).write(page)
-    if args.json:
-        print(as_json(values))
-        return 0
-    print(found.summary())
-    conclude(comparison_page.plant_answer(found.rows, found.outcomes, args.robot),
-             {'report': page, 'numbers': numbers}, partial(in_units, robot.arm))
-    return 0
+    return end(args, values, found.summary(),
+               comparison_page.plant_answer(found.rows, found.outcomes, args.robot),
+               {'report': page, 'numbers': numbers}, partial(in_units, robot.arm))
