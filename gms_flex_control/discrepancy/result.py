@@ -10,7 +10,11 @@ from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
-COMPLETE, FOUND, UNEXPLAINED, BAD_DATA = 'complete', 'effects_found', 'unexplained', 'bad_data'
+# verdicts
+COMPLETE = 'complete'         # nothing that matters is missing
+FOUND = 'effects_found'       # effects that matter are named and added; more may be missing
+UNEXPLAINED = 'unexplained'   # something is missing, and no effect explains it well enough
+BAD_DATA = 'bad_data'         # the recordings are at fault: nothing was searched
 
 
 class Value(NamedTuple):
