@@ -72,11 +72,14 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
     along = residual_views.Along(result.behind.likelihood)
     evidence = {one: _evidence_of(along, result, one)
                 for one in [one for one in result.named if one.main][:MOST_PICTURES]}
+    drawn = {one: picture(evidence_figure(shown), f'evidence_{result.named.index(one) + 1}_'
+                          f'{file_stem(f"{one.effect}_{one.joint}")}.png')
+             for one, shown in evidence.items()}
     runs = free_runs_of(result.behind, holdout)
     first = None  # what stands open: how an effect shows, or the free runs of a joint
     if evidence and not opened:
-        first = next(iter(evidence.values()))
-        _add_evidence(report, first, evidence_figure(first))
+        first = next(iter(evidence))
+        _add_evidence(report, evidence[first], drawn[first])
     elif not opened:
         first = int(np.argmax(np.nan_to_num(result.gap.free_after)))
         _add_free_run(report, runs, first)
@@ -84,7 +87,7 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
     report.figure(picture(gap_figure(result.gap), 'gap.png'),
                   'The gap on data held out')
     _add_rest_and_noise(report, result)
-    _add_findings(report, result, evidence, picture, first)
+    _add_findings(report, result, evidence, drawn, first)
     _add_left(report, result)
     _add_residuals(report, along, result.behind, picture)
     _add_free_runs(report, runs, first)
@@ -136,7 +139,7 @@ def _add_rest_and_noise(report, result):
                      'In addition to encoder noise; the likelihood accounts for it')
 
 
-def _add_findings(report, result, evidence, picture, first):
+def _add_findings(report, result, evidence, drawn, first):
     findings = result.named
     report.heading('What was found')
     if findings:
@@ -158,7 +161,7 @@ def _add_findings(report, result, evidence, picture, first):
         for own, model in zip(sets, result.searched.models, strict=True)],
         'The credible set: the fewest models that hold 95 % of the probability'
         + (f'. All of them have {describe.of_joints(common)}; beside these:' if common else ''))
-    for i, finding in enumerate(findings):
+    for finding in findings:
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
         report.text(f'{in_words(finding.effect)}.')
         report.text(describe.capitalised(finding.evidence))
@@ -166,11 +169,8 @@ def _add_findings(report, result, evidence, picture, first):
             report.note(f'Indistinguishable in these data from '
                         f'{describe.of_joints(finding.indistinguishable_from)}. '
                         f'Discriminating experiment: {finding.discriminated_by}.', warning=True)
-        shown, stem = evidence.get(finding), file_stem(f'{finding.effect}_{finding.joint}')
-        if shown is not None:
-            figure = picture(evidence_figure(shown), f'evidence_{i + 1}_{stem}.png')
-            if shown is not first:
-                _add_evidence(report, shown, figure)
+        if finding in drawn and finding is not first:
+            _add_evidence(report, evidence[finding], drawn[finding])
 
 
 def _finding_row(finding, scale):

@@ -30,6 +30,7 @@ _IN_PAGE = (('<metadata>.*?</metadata>|<defs><style.*?</defs>', ''),
             (r'<g id="[\w.]+?_\d+">', '<g>'), (' xmlns(:xlink)?="[^"]*"', ''),
             ('xlink:href', 'href'), (r'>\s+<', '><'), (r'\s+', ' '))
 WIDTH = 7.0  # inch
+_DPI = 150   # of PNGs
 
 
 def panels_of(rows, columns, size, layout='constrained', **options) -> tuple:
@@ -102,11 +103,14 @@ def free_path(folder, text, used) -> Path:
 
 
 def save_figure(figure, path, words=str) -> None:
-    """Write a figure whole or not at all; ``words`` is applied to labels, such as other units."""
+    """Write a PNG whole or not at all; ``words`` is applied to labels, such as other units."""
     _translate(figure, words)
+    own = figure.dpi
+    figure.set_dpi(_DPI)
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=150)
-    figure.set_layout_engine('none')  # drawn again, it keeps its layout
+        FigureCanvasAgg(figure).print_png(temporary)  # savefig draws once more, for the layout
+    figure.set_dpi(own)
+    figure.set_layout_engine(None)  # drawn again, it keeps its layout
 
 
 def svg(figure, words=str) -> str:
