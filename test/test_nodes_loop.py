@@ -134,10 +134,14 @@ def test_a_gain_changes_and_a_whole_number_is_taken_for_a_double(loop):
     (CONTROLLER, KD, None, 'cannot be undeclared'),
     (CONTROLLER, 'gains__joint1__filter_bandwidth', 0, 'from 0.001 to 100000 rad/s, got 0'),
     (CONTROLLER, 'compensation', 'gsm', "disturbance_observer, got 'gsm'"),
-    (CONTROLLER, 'arm__joint1__mass', 2.0, 'read-only'),
-    (CONTROLLER, 'mode', 'lockstep', 'read-only'),
-    (CONTROLLER, 'gains__joint1__kd_lnk', 1.0, 'declared'),
-    (PLANT, 'rate', 100.0, 'read-only'),
+    (CONTROLLER, 'arm__joint1__mass', 2.0, 'start it anew with -p arm.joint1.mass:=2.0'),
+    (CONTROLLER, 'mode', 'lockstep', 'mode is realtime as long as the node runs'),
+    (CONTROLLER, 'gains__joint1__kd_lnk', 1.0, "did you mean 'gains.joint1.kd_link'?"),
+    (CONTROLLER, 'gains__joint9__kd_link', 1.0, "unknown joint 'joint9'"),
+    (CONTROLLER, 'effects__joint1__backlsh__half_gap', 1.0, "did you mean 'backlash'?"),
+    (CONTROLLER, 'trajectory__type', 'hold', 'is no parameter of /cascade_controller'),
+    (CONTROLLER, 'arm__joint1__mass', None, 'read-only'),
+    (PLANT, 'rate', 100.0, 'start it anew with -p rate:=100.0'),
     (TRAJECTORY, 'trajectory__type', 'sinus', "did you mean 'sinusoid'"),
     (TRAJECTORY, 'trajectory__joint1__period', 0.0, 'from 0.001 to 10000 s, got 0'),
     (TRAJECTORY, 'trajectory__joint1__amplitude', math.nan, 'must be finite, got nan'),
@@ -148,6 +152,20 @@ def test_a_bad_value_is_refused_with_a_reason_and_the_old_one_stays(loop, node, 
     result = loop.set_parameters(node, **{name: value})
     assert not result.successful and reason in result.reason
     assert loop.get(node, name.replace('__', '.')) == before
+
+
+@pytest.mark.parametrize('node', [CONTROLLER, PLANT, TRAJECTORY])
+def test_all_parameters_of_a_node_may_be_set_to_what_they_are(loop, node):
+    """As 'ros2 param load' does with what 'ros2 param dump' wrote; most are fixed at the start."""
+    kind = services.ListParameters
+    names = loop.call(kind, f'{node}/list_parameters', kind.Request()).result.names
+    kind = services.GetParameters
+    values = loop.call(kind, f'{node}/get_parameters', kind.Request(names=names)).values
+    kind = services.SetParameters
+    results = loop.call(kind, f'{node}/set_parameters', kind.Request(parameters=[
+        interfaces.Parameter(name=name, value=value)
+        for name, value in zip(names, values, strict=True)])).results
+    assert len(names) > 30 and not [result.reason for result in results if not result.successful]
 
 
 def test_a_group_is_taken_whole_or_not_at_all(loop):

@@ -39,7 +39,8 @@ def test_what_waits_behind_a_burst_on_another_topic_is_looked_at_before_its_end(
     """An executor hands out the burst's events first; inboxes of a node do not wait for them."""
     heard, boxes = [], []
     node = rclpy.create_node('hearer', context=lab.node.context)
-    node.health, node.direct = Health(node), Direct()
+    node.direct = Direct()
+    node.health = Health(node)
     executor = EventsExecutor(context=lab.node.context)
     executor.add_node(node)
     for topic in ('burst', 'single'):
@@ -169,7 +170,8 @@ def test_endpoints_of_others_are_compared_where_their_number_changes_and_now_and
     """A comparison takes most of a sample at 1 kHz: not each second of a loop that runs."""
     others, compared = [1], []
     node = SimpleNamespace(
-        create_publisher=lambda *_: None, create_timer=lambda *_, **__: None, publishers=(),
+        direct=Direct(), publishers=(),
+        create_publisher=lambda *_: None, create_timer=lambda *_, **__: None,
         subscriptions=[SimpleNamespace(topic_name='/joint_states')],
         count_publishers=lambda _: others[0])
     monkeypatch.setattr(health, 'mismatches', lambda _: compared.append(others[0]) or ())

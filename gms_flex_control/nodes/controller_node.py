@@ -12,7 +12,7 @@ from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.following import Follower, Reference
 from gms_flex_control.nodes.health import Health, trigger, WARN
 from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
-from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
+from gms_flex_control.nodes.topics import Inbox, Outlet
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.keys import controller_keys, CONTROLLER_NODE, robot_keys
 import numpy as np
@@ -115,8 +115,7 @@ class ControllerNode(ConfiguredNode):
     """Run the cascade controller on every joint state received."""
 
     def __init__(self, direct=None, **kwargs):
-        super().__init__('cascade_controller', **kwargs)
-        self.direct = direct or Direct()
+        super().__init__('cascade_controller', direct, **kwargs)
         parameters = NodeParameters(self, lambda joints: (
             *robot_keys(joints), *controller_keys(joints), *CONTROLLER_NODE))
         values, joints = parameters.values, parameters.joints
@@ -127,7 +126,7 @@ class ControllerNode(ConfiguredNode):
         self._warned = []        # sentences on the gains as they are
         self._counts = dict.fromkeys(('states answered', 'states refused', 'references refused',
                                       'silences'), 0)
-        self.health = Health(self, self._figures, self._on_fault, self.direct.lock)
+        self.health = Health(self, self._figures, self._on_fault)
         self.follower = Follower(robot, gains, values, self.health)
         self._reader = messages.JointStateReader(robot.joints, robot.motors)
         self._silence = _Silence(watched=not self._lockstep)

@@ -48,19 +48,18 @@ class Health:
     State of one node, on /diagnostics once a second and when it changes.
 
     ``figures()`` returns what to report (dict), once per report; ``on_fault()`` is called when a
-    fault begins; ``lock`` is held while a callback runs, see `guard`.
+    fault begins. ``node.direct``, a Direct, has the lock of `guard`.
     """
 
-    def __init__(self, node, figures=dict, on_fault=lambda: None, lock=None):
+    def __init__(self, node, figures=dict, on_fault=lambda: None):
         self._node, self._figures, self._on_fault = node, figures, on_fault
-        self._lock = nullcontext() if lock is None else lock
         self.fault = ''      # the sentence of the first fault
         self._state = (OK, 'starting')
         self._warned = {}    # kind of warning: when it was logged last [s]
         self._said, self._looks, self._mismatches = None, 0, ()
         self._counted, self._reports = None, 0  # endpoints of others, when last compared
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        self._hearers = node.direct.hearers[DIAGNOSTICS] if hasattr(node, 'direct') else ()
+        self._hearers = node.direct.hearers[DIAGNOSTICS]
         # steady: the timers of ROS time stand still with /clock
         self._timer = node.create_timer(_LOOK_PERIOD, self.shield(self._look),
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -129,7 +128,7 @@ class Health:
 
     def guard(self, callback) -> Callable:
         """Return ``callback`` such that it holds the lock, and as `shield` has it."""
-        return self._wrapped(callback, self._lock)
+        return self._wrapped(callback, self._node.direct.lock)
 
     def shield(self, callback) -> Callable:
         """

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Node parameters from the schema: declared, coerced, judged, applied."""
 
+from array import array
 import atexit
 from itertools import pairwise
 import math
@@ -14,6 +15,7 @@ import time
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.nodes.process import NO_EVENTS
+from gms_flex_control.nodes.topics import Direct
 from gms_flex_control.params.key import checked, range_in_words, REQUIRED
 from gms_flex_control.schema import build
 from gms_flex_control.schema.keys import known_keys
@@ -59,9 +61,14 @@ def _descriptor(key):
 
 
 class ConfiguredNode(Node):
-    """A node that declares all parameters it is given, for `NodeParameters` to check."""
+    """
+    A node that declares all parameters it is given, for `NodeParameters` to check.
 
-    def __init__(self, name, **kwargs):
+    ``direct`` is what its process hears and serves itself (Direct), by default nothing.
+    """
+
+    def __init__(self, name, direct=None, **kwargs):
+        self.direct = direct or Direct()
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **kwargs)
 
     def declare_parameters(self, namespace, parameters, ignore_override=False) -> list:
@@ -69,6 +76,42 @@ class ConfiguredNode(Node):
         return super().declare_parameters(namespace, [
             (name, [] if value is None else value, descriptor)
             for name, value, descriptor in parameters], ignore_override=ignore_override)
+
+    def set_parameters_atomically(self, parameter_list) -> SetParametersResult:
+        """
+        Set all or none, as services ask; a refusal says the way out, as those of rclpy do not.
+
+        One that cannot change and has the value already is left as it is: 'ros2 param load' takes
+        what 'ros2 param dump' has written.
+        """
+        changed = []
+        for parameter in parameter_list:
+            name, value = parameter.name, _plain(parameter.value)
+            if not self.has_parameter(name):
+                return SetParametersResult(reason=self._unknown(name))
+            if value is None or not self.describe_parameter(name).read_only:
+                changed.append(parameter)
+                continue
+            now = _plain(self.get_parameter(name).value)
+            if value != now:
+                return SetParametersResult(reason=(
+                    f'{name} is {now} as long as the node runs: start it anew with '
+                    f'-p {name}:={value}'))
+        if parameter_list and not changed:
+            return SetParametersResult(successful=True)
+        return super().set_parameters_atomically(changed)
+
+    def _unknown(self, name):
+        try:
+            known_keys([name], self.get_parameter('joints').value)
+        except GmsFlexError as error:
+            return str(error)
+        return (f'{name} is no parameter of {self.get_fully_qualified_name()}, or was not given '
+                'when it started')
+
+
+def _plain(value):
+    return value.tolist() if isinstance(value, array) else value
 
 
 class NodeParameters:

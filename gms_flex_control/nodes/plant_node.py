@@ -12,7 +12,7 @@ from gms_flex_control.nodes.bridged_robot import BridgedRobot
 from gms_flex_control.nodes.health import Health, trigger
 from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
 from gms_flex_control.nodes.simulated_robot import SimulatedRobot
-from gms_flex_control.nodes.topics import all_waiting, DEPTH, Direct
+from gms_flex_control.nodes.topics import all_waiting, DEPTH
 from gms_flex_control.schema.keys import bridge_keys, plant_node_keys, robot_keys, safety_keys
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -44,13 +44,12 @@ class PlantNode(ConfiguredNode):
     """Publish joint states and obey torque commands, as ros2_control's effort side does."""
 
     def __init__(self, direct=None, **kwargs):
-        super().__init__('plant', **kwargs)
-        self.direct = direct or Direct()
+        super().__init__('plant', direct, **kwargs)
         bridged = self.has_parameter('backend') and self.get_parameter('backend').value == 'bridge'
         parameters = NodeParameters(self, _bridge_keys if bridged else _simulator_keys)
         values = parameters.values
         self.health = Health(self, lambda: self._robot.figures(),
-                             lambda: self._robot.fail(self.health.fault), self.direct.lock)
+                             lambda: self._robot.fail(self.health.fault))
         self._robot = (BridgedRobot if bridged else SimulatedRobot)(
             self, values, parameters.joints)
         self._safety = Safety(self, self._robot, topic=values['emergency_stop_topic'],

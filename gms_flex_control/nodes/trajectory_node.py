@@ -15,7 +15,7 @@ from gms_flex_control.nodes.health import DIAGNOSTICS, Health, OK, trigger
 from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
 from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
 from gms_flex_control.nodes.reference_motion import LinkStates, LONGEST_PAUSE, Motion
-from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
+from gms_flex_control.nodes.topics import Inbox, Outlet
 from gms_flex_control.schema.build import frames_from_values
 from gms_flex_control.schema.keys import robot_keys, trajectory_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
@@ -42,8 +42,7 @@ class TrajectoryNode(ConfiguredNode):
     """Publish the reference for each joint state before that state comes."""
 
     def __init__(self, direct=None, **kwargs):
-        super().__init__('trajectory', **kwargs)
-        self.direct = direct or Direct()
+        super().__init__('trajectory', direct, **kwargs)
         parameters = NodeParameters(self, reference_names_keys)
         values, joints = parameters.values, parameters.joints
         self._gives_way = direct is None and values['mode'] != 'lockstep'
@@ -62,7 +61,7 @@ class TrajectoryNode(ConfiguredNode):
             len(joints), f'{self.get_fully_qualified_name()}#{os.getpid()}')
         self._plant, self._no_torque = self.resolve_service_name('plant'), ''  # '': it flows
         self._counts = dict.fromkeys(('states followed', 'states refused', 'jumps of time'), 0)
-        self.health = Health(self, lambda: self._counts, lock=self.direct.lock)
+        self.health = Health(self, lambda: self._counts)
         guard = self.health.guard
         self._reference_pub = Outlet(self, Float64MultiArray, 'reference', values['mode'])
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
