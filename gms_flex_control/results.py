@@ -35,7 +35,7 @@ from gms_flex_control.reports.figure_style import stacked_panels, svg
 from gms_flex_control.reports.recordings_page import error_figure
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands, Proposal, propose
-from gms_flex_control.tuning.trial import MOTIONS, Trial, try_gains
+from gms_flex_control.tuning.trial import Trial, try_motions
 from matplotlib.figure import Figure
 import numpy as np
 
@@ -287,10 +287,9 @@ def tune(robot: RobotParams, gains: ControllerParams, *, rate: float = 500.0, de
     unmet = list(proposal.unmet)
     for mode in dict.fromkeys(('none', gains.compensation)):
         trials[mode] = {}
-        for motion in MOTIONS:
-            trial, run = try_gains(
-                robot, robot, replace(proposal.gains, compensation=mode), demands.timing, motion,
-                np.full(robot.n_joints, amplitude))
+        for motion, trial, run in try_motions(
+                robot, robot, replace(proposal.gains, compensation=mode), demands.timing,
+                np.full(robot.n_joints, amplitude)):
             trials[mode][motion] = trial
             where = f'{motion}, compensation {mode}'
             if trial.lost:

@@ -8,11 +8,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import rms
-from gms_flex_control.experiment.simulated import scaled_friction
+from gms_flex_control.experiment.simulated import scaled_robot
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.tuning.linear_loop import Timing
-from gms_flex_control.tuning.trial import draw, MOTIONS, try_gains
+from gms_flex_control.tuning.trial import draw, try_motions
 import numpy as np
 
 PAPER_OBSERVER_GAIN = 0.01  # k_e (paper, section 6)
@@ -59,9 +59,7 @@ def plant_of(robot, condition, seed) -> RobotParams:
     """Return the robot as it is under a condition; every compensation meets the same draws."""
     if condition.draw is not None:
         return draw(robot, np.random.default_rng([seed, condition.draw]))[0]
-    arm = replace(robot.arm.scaled(condition.mass),
-                  stiffness=robot.arm.stiffness * condition.stiffness)
-    found = replace(robot, arm=arm, friction=scaled_friction(robot.friction, condition.friction))
+    found = scaled_robot(robot, condition.friction, condition.stiffness, condition.mass)
     if condition.counts is not None:
         found = replace(found, encoder=replace(robot.encoder, counts=condition.counts))
     return found
@@ -111,14 +109,12 @@ def floor_of(outcomes) -> dict:
 
 
 def runs_of(cell) -> Iterator:
-    """Yield (motion, Trial, Run) of a Cell."""
+    """Return an iterator over (motion, Trial, Run) of a Cell."""
     setting, condition = cell.setting, cell.condition
     plant = plant_of(setting.robot, condition, setting.seed)
     timing = Timing(1.0 / (condition.rate or setting.rate), 0.0)
-    model = setting.robot
-    for motion in MOTIONS:
-        yield motion, *try_gains(plant, model, gains_of(setting.gains, cell.mode), timing, motion,
-                                 setting.amplitude, seed=setting.seed)
+    return try_motions(plant, setting.robot, gains_of(setting.gains, cell.mode), timing,
+                       setting.amplitude, seed=setting.seed)
 
 
 def try_cell(cell) -> dict:

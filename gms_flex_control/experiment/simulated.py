@@ -163,7 +163,12 @@ def scaled_friction(friction, factor) -> FrictionParams:
         stiffness=friction.stiffness * factor)
 
 
+def scaled_robot(robot, friction=1.0, stiffness=1.0, mass=1.0) -> RobotParams:
+    """Return the robot with friction, joint stiffness, and masses and inertias of links scaled."""
+    return replace(robot, friction=scaled_friction(robot.friction, friction), arm=replace(
+        robot.arm.scaled(mass), stiffness=robot.arm.stiffness * stiffness))
+
+
 def mixed_error(robot) -> RobotParams:
     """Return the robot with friction x 0.85, joint stiffness x 1.05 and link masses x 0.93."""
-    return replace(robot, friction=scaled_friction(robot.friction, FRICTION), arm=replace(
-        robot.arm.scaled(MASS), stiffness=robot.arm.stiffness * STIFFNESS))
+    return scaled_robot(robot, FRICTION, STIFFNESS, MASS)

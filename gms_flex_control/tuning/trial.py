@@ -8,6 +8,7 @@ Robots that are not what it believes are drawn: parameters are scaled evenly wit
 of one group in `GROUPS` together.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 import math
 from typing import NamedTuple
@@ -61,19 +62,19 @@ def with_delay(robot, delay) -> RobotParams:
     return replace(robot, effects=(*robot.effects, *late))
 
 
-def try_gains(robot, model, gains, timing, motion, amplitude, seed=0) -> tuple:
+def try_motions(robot, model, gains, timing, amplitude, seed=0) -> Iterator:
     """
-    Simulate one of `MOTIONS` of an amplitude (n,) [rad]; return its Trial and Run.
+    Simulate `MOTIONS` of an amplitude (n,) [rad]; yield (motion, Trial, Run) of each.
 
     ``robot`` is the robot as it is, ``model`` what the controller believes.
     """
-    course = (builders.sinusoid(amplitude, PERIOD) if motion == 'sinusoid'
-              else builders.polynomial(amplitude, MOVE, HOLD))
-    run = loop.run(
-        with_delay(robot, timing.delay), model, gains, course,
-        duration=DURATION[motion], period_ns=round(1e9 * timing.period), seed=seed,
-        substeps=max(5, math.ceil(timing.period / 1e-4 - 1e-9)))
-    return _figures_of(run, motion), run
+    for motion, course in zip(MOTIONS, (builders.sinusoid(amplitude, PERIOD),
+                                        builders.polynomial(amplitude, MOVE, HOLD)), strict=True):
+        run = loop.run(
+            with_delay(robot, timing.delay), model, gains, course,
+            duration=DURATION[motion], period_ns=round(1e9 * timing.period), seed=seed,
+            substeps=max(5, math.ceil(timing.period / 1e-4 - 1e-9)))
+        yield motion, _figures_of(run, motion), run
 
 
 def _figures_of(run, motion) -> Trial:
@@ -132,9 +133,8 @@ def try_drawn(item) -> dict:
     rng = np.random.default_rng([item.seed, item.number])
     robot, factors = draw(item.robot, rng)
     linear = judged(robot, item.robot, item.gains, item.timing, with_delay=False)
-    trials = {motion: try_gains(robot, item.robot, item.gains, item.timing, motion,
-                                item.amplitude, seed=item.number)[0]._asdict()
-              for motion in MOTIONS}
+    trials = {motion: trial._asdict() for motion, trial, _ in try_motions(
+        robot, item.robot, item.gains, item.timing, item.amplitude, seed=item.number)}
     return {'factors': factors, 'stable': linear.stable, 'trials': trials,
             'gain': [min(float(one.gain_up), 1e9) for one in linear.joints],
             'phase': [float(one.phase) for one in linear.joints]}
