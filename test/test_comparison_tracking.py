@@ -1,16 +1,13 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Tracking tables against closed forms and print, waves over an angle, and `analyse` itself."""
+"""Tracking tables against closed forms and print, and `analyse` itself."""
 
 import json
 
 from gms_flex_control.cli.main import build_parser
 from gms_flex_control.comparison.tracking import Run, Table4, table4, track
-from gms_flex_control.data.csv_import import import_csv
-from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import standing_out
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
 import numpy as np
@@ -89,66 +86,10 @@ def test_a_loop_that_did_not_keep_up_is_reported():
     assert finding in table.text() and table.as_dict()['findings'] == [finding]
 
 
-PERIOD = 4e-3
-
-
-def motion(rng, seconds=80.0):
-    """Return angle and rate (S,) of a motion to and fro."""
-    time = np.arange(0.0, seconds, PERIOD)
-    angle = 0.3 * np.sin(2 * np.pi * 0.05 * time) + 0.1 * np.sin(
-        2 * np.pi * 0.17 * time + rng.uniform(0.0, 2 * np.pi))
-    return angle, np.gradient(angle, PERIOD)
-
-
-@pytest.mark.parametrize('order', [60.0, 200.0, 628.3])
-def test_waves_below_the_noise_are_found(order):
-    rng = np.random.default_rng(round(order))
-    angle, rate = motion(rng)
-    torque = 0.2 * np.sin(order * angle + 1.0) + rng.standard_normal(len(angle))
-    torque += np.sign(rate) * 3.0  # what friction leaves
-    found = standing_out([angle], [torque], [rate], 48.0)
-    assert found[0] == pytest.approx(order, abs=0.25 * 2.0 * np.pi / np.ptp(angle))
-
-
-@pytest.mark.parametrize('seed', range(8))
-def test_noise_is_no_wave(seed):
-    rng = np.random.default_rng(seed)
-    angle, rate = motion(rng)
-    assert standing_out([angle], [rng.standard_normal(len(angle))], [rate], 48.0) == ()
-
-
-MAP = """source: a bench
-time: {column: t, unit: s}
-joints:
-  axis1:
-    motor: axis1_motor
-    link_position: {column: q, unit: deg}
-    motor_position: {column: m, unit: deg}
-    torque: {column: i, unit: N m}
-    reference: {column: r, unit: deg}
-  axis2:
-    link_position: {column: p, unit: rad}
-    torque: {column: i, unit: N m}
-    reference: {column: p, unit: rad}
-"""
-
-
 def call(*words):
     """Run a verb as the tool does; return its exit code."""
     args = build_parser().parse_args([str(word) for word in words])
     return args.run(args)
-
-
-@pytest.fixture
-def log(tmp_path):
-    """Write a log and its map; return their paths."""
-    t = np.arange(200) * 5e-3
-    q = 30 * np.sin(t)
-    columns = np.column_stack([t, q, q + 0.01, np.cos(t), q * 1.001, np.cos(2 * t)])
-    np.savetxt(tmp_path / 'log.csv', columns, fmt='%.17g', delimiter=',', header='t,q,m,i,r,p',
-               comments='')
-    (tmp_path / 'map.yaml').write_text(MAP)
-    return tmp_path / 'log.csv', tmp_path / 'map.yaml'
 
 
 def bag(path, amplitude, **options):
@@ -157,16 +98,6 @@ def bag(path, amplitude, **options):
         joints=('joint1', 'joint2'), time=np.arange(400) * 1e-3, q_link=amplitude, command=1.0,
         reference=0.0, source='test'), **options)
     return path
-
-
-def test_an_imported_bag_reads_back_as_the_recording(log, tmp_path, capsys):
-    assert call('import-csv', log[0], '--map', log[1], '--out', tmp_path / 'bag') == 0
-    assert 'axis1 (axis1_motor)' in capsys.readouterr().out
-    direct, back = import_csv(*log).recording, read_recording(tmp_path / 'bag')
-    assert back.joints == direct.joints
-    for name in ('time', 'q_link', 'q_motor', 'tau_motor'):
-        np.testing.assert_allclose(getattr(back, name), getattr(direct, name), atol=1e-9)
-    np.testing.assert_array_equal(back.reference[:, 0], direct.reference[:, 0])
 
 
 def test_bags_become_table_report_and_pictures(tmp_path, capsys):

@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 import re
 
+from gms_flex_control.cli.main import main
 from gms_flex_control.cli.recordings import suspicions
 from gms_flex_control.data.csv_import import estimate_velocity, import_csv
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.errors import ImportDataError
 import numpy as np
 import pytest
@@ -57,6 +59,24 @@ def test_a_plain_log_comes_back_bit_for_bit(load):
     np.testing.assert_array_equal(log.recording.q_link[:, 0], Q)
     np.testing.assert_array_equal(log.recording.time, (T + 17.0) - 17.0)
     assert np.isnan(log.recording.dq_link).all() and log.motors == ('',)
+
+
+def test_the_verb_writes_a_bag_that_reads_back_as_the_log(load, tmp_path, capsys):
+    direct = load({'t': T, 'q': Q, 'm': Q + 0.01, 'i': np.cos(T), 'r': 1.001 * Q}, PLAIN + """\
+    motor_position: {column: m, unit: deg}
+    torque: {column: i, unit: N m}
+    reference: {column: r, unit: deg}
+    motor: m1
+  j2: {link_position: {column: r, unit: rad}, torque: {column: i, unit: N m}}
+""").recording
+    assert main(['import-csv', str(tmp_path / 'log.csv'), '--map', str(tmp_path / 'map.yaml'),
+                 '--out', str(tmp_path / 'bag')]) == 0
+    assert 'j1 (m1)' in capsys.readouterr().out
+    back = read_recording(tmp_path / 'bag', direct.joints, ['m1', ''])
+    assert back.joints == direct.joints
+    for name in ('time', 'q_link', 'q_motor', 'tau_motor'):
+        np.testing.assert_allclose(getattr(back, name), getattr(direct, name), atol=1e-9)
+    np.testing.assert_array_equal(back.reference[:, 0], direct.reference[:, 0])
 
 
 @pytest.mark.parametrize(('unit', 'factor'), [

@@ -132,17 +132,6 @@ def test_a_bad_first_chunk_does_not_cost_the_topics(tmp_path):
     assert len(bag.damage) == 1 and len(found) < COUNT + COUNT // 3
 
 
-def test_a_cut_bag_is_read_with_a_warning(tmp_path):
-    file = write_bag(tmp_path / 'bag')
-    file.write_bytes(killed(file.read_bytes()))
-    (tmp_path / 'bag' / 'metadata.yaml').unlink()
-    with pytest.warns(BagWarning) as caught:
-        assert len(read_recording(tmp_path / 'bag').time) == COUNT
-    texts = [str(warning.message) for warning in caught]
-    assert any('ends without its index after 400 messages' in text for text in texts)
-    assert any('has no metadata.yaml' in text for text in texts)
-
-
 def test_a_real_bag_without_checksums_survives_a_cut_and_lost_metadata(tmp_path):
     shutil.copytree(REAL / 'rosbag2_mcap', tmp_path / 'bag')
     original, _ = contents(REAL / 'rosbag2_mcap')
@@ -151,7 +140,8 @@ def test_a_real_bag_without_checksums_survives_a_cut_and_lost_metadata(tmp_path)
     (tmp_path / 'bag' / 'metadata.yaml').unlink()
     found, bag = contents(tmp_path / 'bag')
     assert 400 < len(found) < 830 and found == original[:len(found)]
-    assert f'ends without its index after {len(found)} messages' in ' '.join(bag.notes)
+    for words in (f'ends without its index after {len(found)} messages', 'has no metadata.yaml'):
+        assert words in ' '.join(bag.notes)
 
 
 def test_a_damaged_sqlite3_says_that_something_is_missing(tmp_path):

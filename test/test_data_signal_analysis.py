@@ -1,9 +1,14 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Filters that recordings are looked at through."""
+"""Filters that recordings are looked at through, and waves over an angle."""
 
-from gms_flex_control.data.signal_analysis import derivatives, low_pass, low_pass_bandwidth
+from gms_flex_control.data.signal_analysis import (
+    derivatives,
+    low_pass,
+    low_pass_bandwidth,
+    standing_out,
+)
 import numpy as np
 import pytest
 from scipy.signal import savgol_filter
@@ -37,3 +42,31 @@ def test_derivatives_are_those_of_scipy_up_to_both_ends(samples, window):
         expected = savgol_filter(walk, length, min(3, length - 1), order, period, axis=0)
         assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
     assert np.array_equal(*derivatives(walk, period, window, (2,)), found)
+
+
+PERIOD = 4e-3
+
+
+def motion(rng, seconds=80.0):
+    """Return angle and rate (S,) of a motion to and fro."""
+    time = np.arange(0.0, seconds, PERIOD)
+    angle = 0.3 * np.sin(2 * np.pi * 0.05 * time) + 0.1 * np.sin(
+        2 * np.pi * 0.17 * time + rng.uniform(0.0, 2 * np.pi))
+    return angle, np.gradient(angle, PERIOD)
+
+
+@pytest.mark.parametrize('order', [60.0, 200.0, 628.3])
+def test_waves_below_the_noise_are_found(order):
+    rng = np.random.default_rng(round(order))
+    angle, rate = motion(rng)
+    torque = 0.2 * np.sin(order * angle + 1.0) + rng.standard_normal(len(angle))
+    torque += np.sign(rate) * 3.0  # what friction leaves
+    found = standing_out([angle], [torque], [rate], 48.0)
+    assert found[0] == pytest.approx(order, abs=0.25 * 2.0 * np.pi / np.ptp(angle))
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_noise_is_no_wave(seed):
+    rng = np.random.default_rng(seed)
+    angle, rate = motion(rng)
+    assert standing_out([angle], [rng.standard_normal(len(angle))], [rate], 48.0) == ()
