@@ -93,16 +93,16 @@ def _reference_at(times, period, labels, table):
                            right)
         shift = times[block] - labels[nearest]
         near = np.abs(shift) <= _REACH * period
-        result[block][near] = _carried_on(table[order[nearest[near]]], shift[near] * 1e-9)
+        result[block][near] = carried_on(table[order[nearest[near]]], shift[near] * 1e-9)
     return result
 
 
-def _carried_on(table, shift):
-    """Return the Taylor series of references (T, 5, n) after ``shift`` (T,) [s]."""
+def carried_on(table, shift) -> np.ndarray:
+    """Return the Taylor series of references (T, up to 5, n) after ``shift`` (T,) [s]."""
     known = np.nan_to_num(table)
-    result = table.copy()
-    for row in range(N_DERIVATIVES):
-        for power in range(1, N_DERIVATIVES - row):
+    result, rows = table.copy(), table.shape[1]
+    for row in range(rows):
+        for power in range(1, rows - row):
             weight = shift ** power / factorial(power)
             result[:, row] += weight[:, None] * known[:, row + power]
     return result

@@ -4,9 +4,9 @@
 """A running loop: its messages as rows by the stamp of their joint state, and its status."""
 
 from collections import deque
-from math import factorial
 import threading
 
+from gms_flex_control.data.series import carried_on, N_DERIVATIVES
 from gms_flex_control.hardware.supervision import BRIDGED, SIMULATED
 from gms_flex_control.view.recorded import column_names, PER_JOINT
 import numpy as np
@@ -113,13 +113,12 @@ class Rows:
         """Write the nearest reference, carried on by its own derivatives."""
         label, values = min(self._references, default=(None, ()), key=lambda item: abs(
             item[0] - stamp))
-        if label is None or abs(label - stamp) > _REACH or not values:
+        count = min(len(values) // self._n, N_DERIVATIVES)
+        if label is None or abs(label - stamp) > _REACH or not count:
             return
-        shift, angles = (stamp - label) * 1e-9, np.zeros(self._n)
-        for power in range(min(len(values) // self._n, 4)):
-            angles += shift ** power / factorial(power) * np.array(
-                values[power * self._n:(power + 1) * self._n])
-        self._write(row, 'reference', angles)
+        rows = np.reshape(values[:count * self._n], (1, count, self._n))
+        shift = np.array([stamp - label]) * 1e-9
+        self._write(row, 'reference', carried_on(rows, shift)[0, 0])
 
 
 class Feed:
