@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from bridge_lab import ask
 from gms_flex_control.nodes import health, messages
 from gms_flex_control.nodes.health import Health
+from gms_flex_control.nodes.namesakes import Namesakes
 from gms_flex_control.nodes.topics import (
     all_waiting,
     Deserialized,
@@ -40,6 +41,7 @@ def test_what_waits_behind_a_burst_on_another_topic_is_looked_at_before_its_end(
     heard, boxes = [], []
     node = rclpy.create_node('hearer', context=lab.node.context)
     node.direct = Direct()
+    node.namesakes = Namesakes(node)
     node.health = Health(node)
     executor = EventsExecutor(context=lab.node.context)
     executor.add_node(node)
@@ -170,7 +172,7 @@ def test_endpoints_of_others_are_compared_where_their_number_changes_and_now_and
     """A comparison takes most of a sample at 1 kHz: not each second of a loop that runs."""
     others, compared = [1], []
     node = SimpleNamespace(
-        direct=Direct(), publishers=(),
+        direct=Direct(), namesakes=SimpleNamespace(), publishers=(),
         create_publisher=lambda *_: None, create_timer=lambda *_, **__: None,
         subscriptions=[SimpleNamespace(topic_name='/joint_states')],
         count_publishers=lambda _: others[0])

@@ -157,6 +157,7 @@ WRONG = [
     ('joints: [joint1, joint2]', 'joints: joint1', "joints must be a list of texts, got 'joint1'"),
     ('joints: [joint1, joint2]', 'joints: []', 'joints is empty: name at least one'),
     ('joints: [joint1, joint2]', 'joints: [joint1, joint1]', "joints names 'joint1' twice"),
+    ('counts: 20000.0 ', 'counts: {} ', 'encoder.counts must be a number, got {}'),
     ('counts: 20000.0 ', 'counts: -1.0 ', 'encoder.counts must be at least 0, got -1'),
     ('counts: 20000.0 ', 'counts: many ', "encoder.counts must be a number, got 'many'"),
     ('motors: [joint1_motor, joint2_motor]', 'motors: [joint1_motor]',
@@ -191,6 +192,7 @@ def test_what_is_wrong_in_a_robot_file_is_said_with_its_line(old, new, sentence,
          "'half_gap'?"),
         ('joint1', 'backlash: {half_gap: -0.1}', 'half_gap must be at least 0 rad, got -0.1'),
         ('joint1', 'backlash: {half_gap: wide}', "half_gap must be a number [rad], got 'wide'"),
+        ('joint1', 'backlash: {}', 'effects.joint1.backlash must have the form'),
         ('joint1', 'backlash: 0.1', 'must have the form effects.<joint>.<effect>.<parameter>'),
         ('joint1', 'tip_payload: {mass: 0.1}', 'tip_payload belongs under effects.arm'),
         ('arm', 'backlash: {half_gap: 0.1}', 'backlash belongs under effects.<joint>'),
@@ -299,3 +301,16 @@ def test_a_gain_of_some_modes_changes_those_that_its_description_names(gain, use
     assert set(differ) == set(used)
     named = [mode for mode in COMPENSATIONS if re.search(rf'\b{mode}\b', key.description)]
     assert set(named) in (set(used), set(COMPENSATIONS) - set(used))
+
+
+@pytest.mark.parametrize(('text', 'sentence'), [
+    ('effects: [backlash]', 'effects is not a known parameter: effects.<joint>.<effect>.<param'),
+    ('uncertainty: 0.1', 'uncertainty is not a known parameter: uncertainty.<joint>.<kind>'),
+    ('arm: 3', 'arm is not a known parameter: arm.kind and others stand under it'),
+    ('gains: [1.0]', 'gains is not a known parameter: gains.joint1.')])
+def test_a_value_in_the_place_of_a_group_is_told_from_a_wrong_name(text, sentence, tmp_path):
+    """With its own place, though another file has the group."""
+    path = written(tmp_path, f'/**:\n  ros__parameters:\n    {text}\n')
+    with pytest.raises(ConfigError) as error:
+        load_robot([CONFIG / 'robot.yaml', path])
+    assert str(error.value).startswith(f'{path}:3: {sentence}')

@@ -21,7 +21,7 @@ _HOLD, _RELAX = 1.0, 0.5  # of a lost reference here [s]
 _STILL = 0.02        # a held arm moves less [rad]
 _SIGNALS = ((signal.SIGINT,), (signal.SIGTERM,), (signal.SIGINT, signal.SIGTERM))
 _BUSY = 'while True: pass'
-_RIVAL = '/rival#1'
+_RIVAL, _SECOND = '/rival#1', 'second'
 _TOGETHER = 0.3      # two trajectory nodes send so long [s]
 _START = 30.0        # of a node, until it is heard [s]
 
@@ -224,17 +224,18 @@ def _send_beside(loop, publisher, tally):
 
 
 def _start_second(loop, name, tally):
-    """Start a second trajectory node; end the first once no torque flows."""
+    """Start a second trajectory node, of another name; end it once no torque flows."""
     first = loop.trajectory
-    loop.start_trajectory(name)
-    names = [f'/trajectory#{node.process.pid}' for node in (first, loop.trajectory)]
+    loop.start_trajectory(name, arguments=('-r', f'__node:={_SECOND}'))
+    second, loop.trajectory = loop.trajectory, first
+    names = [f'/trajectory#{first.process.pid}', f'/{_SECOND}#{second.process.pid}']
     end = time.monotonic() + _START
     loop.bench.until(lambda: all(name in loop.diagnostics.sentence(CONTROLLER) for name in names)
                      or time.monotonic() > end)
     _expect_named(loop, tally, *names)
     begin = loop.run(_TOGETHER)
     tally.expect(zero_applied(loop, begin), 'two trajectory nodes, and torque goes on')
-    first.kill()
+    second.kill()
 
 
 def _expect_named(loop, tally, *names):

@@ -225,10 +225,10 @@ class Loop:
         """Start the controller (again)."""
         self.controller = self.bench.start(name, files=self._files, **self._parameters)
 
-    def start_trajectory(self, name='trajectory_node'):
-        """Start the trajectory node (again)."""
+    def start_trajectory(self, name='trajectory_node', arguments=()):
+        """Start the trajectory node (again), with further words of the command line."""
         self.trajectory = self.bench.start(
-            name, files=self._files, trajectory__autostart=True,
+            name, files=self._files, arguments=arguments, trajectory__autostart=True,
             trajectory__ramp_time=3.0, **_SMALL)
 
     def moves(self):

@@ -11,6 +11,7 @@ import traceback
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from gms_flex_control.hardware.supervision import FAULT
+from gms_flex_control.nodes.namesakes import DIAGNOSTICS
 from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
@@ -23,7 +24,6 @@ _REPORTS_PER_COMPARISON = 10  # where as many endpoints are there as before
 _WARN_PERIOD = 5.0   # of warnings of one kind [s]
 _SYSTEM = Clock()
 _COMMON = ('rosout', 'parameter_events')
-DIAGNOSTICS = '/diagnostics'
 _ENDLESS = 2**62  # the graph reports a duration that was never set as about this or more [ns]
 
 
@@ -58,8 +58,8 @@ class Health:
         self._warned = {}    # kind of warning: when it was logged last [s]
         self._said, self._looks, self._mismatches = None, 0, ()
         self._counted, self._reports = None, 0  # endpoints of others, when last compared
-        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._hearers = node.direct.hearers[DIAGNOSTICS]
+        node.namesakes.answer = self.publish
         # steady: the timers of ROS time stand still with /clock
         self._timer = node.create_timer(_LOOK_PERIOD, self.shield(self._look),
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -179,11 +179,11 @@ class Health:
         status = DiagnosticStatus(
             level=level, name=self._node.get_fully_qualified_name().strip('/'), message=sentence,
             hardware_id=self._node.get_fully_qualified_name(),
-            values=[KeyValue(key=key, value=str(value))
-                    for key, value in self._figures().items()])
+            values=[*(KeyValue(key=key, value=str(value))
+                      for key, value in self._figures().items()), *self._node.namesakes.marks()])
         message = DiagnosticArray(status=[status])
         message.header.stamp = now(self._node).to_msg()
-        self._publisher.publish(message)
+        self._node.namesakes.publisher.publish(message)
         for hear in self._hearers:
             hear(message)
 

@@ -14,6 +14,7 @@ from tempfile import mkdtemp
 import time
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
+from gms_flex_control.nodes.namesakes import Namesakes
 from gms_flex_control.nodes.process import NO_EVENTS
 from gms_flex_control.nodes.topics import Direct
 from gms_flex_control.params.key import checked, range_in_words, REQUIRED
@@ -64,12 +65,14 @@ class ConfiguredNode(Node):
     """
     A node that declares all parameters it is given, for `NodeParameters` to check.
 
-    ``direct`` is what its process hears and serves itself (Direct), by default nothing.
+    ``direct`` is what its process hears and serves itself (Direct), by default nothing. Raises
+    ConfigError if another process runs a node of its name.
     """
 
     def __init__(self, name, direct=None, **kwargs):
-        self.direct = direct or Direct()
+        self.direct, begin = direct or Direct(), time.monotonic()
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **kwargs)
+        self.namesakes = Namesakes(self, time.monotonic() - begin)
 
     def declare_parameters(self, namespace, parameters, ignore_override=False) -> list:
         """Declare parameters; an empty list of a file, which rclpy is given as None, is one."""

@@ -77,7 +77,7 @@ class Spinner:
 
     def __init__(self):
         self._executor = None
-        self._failed = None
+        self._failed, self.refused = None, ''  # the latter: why this process has to end
         self._stopped = False
         _handle_signals(self._on_signal)
 
@@ -96,16 +96,20 @@ class Spinner:
         return self._stopped
 
     def add(self, *nodes) -> None:
-        """Take the nodes whose callbacks are run; ``health`` of the first, if any, is notified."""
+        """Take ConfiguredNodes whose callbacks are run; ``health`` of the first is notified."""
         health = getattr(nodes[0], 'health', None)
         self._failed = health and health.failed
         self._executor = EventsExecutor()
         for node in nodes:
+            node.namesakes.on_elder = self._refuse
             self._executor.add_node(node)
+
+    def _refuse(self, sentence):
+        self.refused = sentence
 
     def goes_on(self) -> bool:
         """Return whether the node is to go on."""
-        return not self._stopped and rclpy.ok()
+        return not (self._stopped or self.refused) and rclpy.ok()
 
     def spin_once(self, timeout=0.1) -> None:
         """Run a callback that is due, or wait ``timeout`` seconds for one."""
@@ -160,6 +164,8 @@ def run_node(make_node, time_slice=SHORT) -> int:
         spinner.add(*getattr(node, 'nodes', [node]))
         gc.freeze()  # what start-up left is never searched again while the loop runs
         node.run(spinner)
+        if spinner.refused:
+            return _refuse(spinner.refused)
     except KeyboardInterrupt:
         pass
     except GmsFlexError as error:

@@ -48,6 +48,7 @@ class Direct:
     def __init__(self):
         # taken by whoever runs a callback of these nodes or a sample of their loop
         self.lock = threading.RLock()
+        self.known = False  # whether other processes have discovered this one
         self.hearers = defaultdict(list)  # topic -> who take its messages, in order of the calls
         self.services = {}  # name -> handler, which takes request and response
 

@@ -11,8 +11,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
 from gms_flex_control.hardware.supervision import ACTIVE, FAULT
 from gms_flex_control.nodes import joint_trajectory, messages, process, scheduling
-from gms_flex_control.nodes.health import DIAGNOSTICS, Health, OK, trigger
+from gms_flex_control.nodes.health import Health, OK, trigger
 from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
+from gms_flex_control.nodes.namesakes import DIAGNOSTICS
 from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
 from gms_flex_control.nodes.reference_motion import LinkStates, LONGEST_PAUSE, Motion
 from gms_flex_control.nodes.topics import Inbox, Outlet
@@ -106,8 +107,8 @@ class TrajectoryNode(ConfiguredNode):
     def _on_diagnostics(self, message):
         """Hear whether the plant, or bridge, of this namespace lets torque flow."""
         for status in message.status:
-            if status.hardware_id == self._plant:
-                said = {item.key: item.value for item in status.values}
+            said = {item.key: item.value for item in status.values}
+            if status.hardware_id == self._plant and {'state', 'reason'} <= set(said):
                 state, reset = said['state'], f'{self._plant}/reset and '
                 self._no_torque = '' if state == ACTIVE else (
                     f"no torque flows ({state}: {said['reason']}): call "

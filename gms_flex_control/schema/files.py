@@ -41,7 +41,7 @@ def read_parameters(path) -> dict:
 
 def _flatten(mapping, prefix, flat):
     for name, value in mapping.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and (value or not prefix):
             _flatten(value, f'{prefix}{name}.', flat)
         else:
             line = mapping.lc.key(name)[0] + 1 if hasattr(mapping, 'lc') else 0
@@ -73,9 +73,9 @@ def located(error, paths, places) -> Exception:
     """Return the error with file and line of the key its sentence begins with; see read_values."""
     message = str(error)
     name = message.split(' ', 1)[0].rstrip(':')
-    below = (key for key in places if key == name or key.startswith(f'{name}.'))
-    place = places.get(next(below, ''), ', '.join(dict.fromkeys(map(str, paths))))
-    return type(error)(f'{place}: {message}')
+    below = (key for key in places if key.startswith(f'{name}.'))
+    place = places.get(name) or places.get(next(below, ''))
+    return type(error)(f"{place or ', '.join(dict.fromkeys(map(str, paths)))}: {message}")
 
 
 def load_robot(paths) -> RobotParams:

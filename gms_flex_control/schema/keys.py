@@ -227,6 +227,8 @@ def _of_each(joints, prefix, keys):
 
 
 DOWN = (0.0, 0.0, -STANDARD_GRAVITY)  # gravity where the base is level [m/s^2]
+_FREE = {'effects': 'effects.<joint>.<effect>.<parameter>',  # whose keys depend on the file
+         'uncertainty': 'uncertainty.<joint>.<kind>'}
 _PER_JOINT = ('arm', 'friction', 'gains', 'identification', 'limits', 'mapping', 'trajectory')
 
 # of each joint, below arm.<joint>, of a URDF
@@ -283,7 +285,7 @@ def _effect_key(name, joints):
 
     ConfigError names the nearest if joint, effect or parameter is unknown.
     """
-    joint, effect, parameter = _parts(name, 'effects.<joint>.<effect>.<parameter>', joints)
+    joint, effect, parameter = _parts(name, _FREE['effects'], joints)
     try:
         kind = registry.find(effect)
     except ParameterError as error:
@@ -312,7 +314,7 @@ def _parts(name, form, joints):
 
 def _uncertainty_key(name, joints):
     """Return the key of a standard deviation, ``uncertainty.<joint>.<kind>``."""
-    _, kind = _parts(name, 'uncertainty.<joint>.<kind>', joints)
+    _, kind = _parts(name, _FREE['uncertainty'], joints)
     if kind not in UNCERTAIN:
         raise ConfigError(f'{name}: unknown kind of parameter {kind!r}'
                           f'{did_you_mean(kind, UNCERTAIN)}')
@@ -338,6 +340,11 @@ def known_keys(names, joints) -> dict[str, Key]:
 
 def _nearest(name, known, joints):
     parts = name.split('.')
+    if name in _FREE:
+        return f': {_FREE[name]} stands under it'
+    below = [key for key in known if key.startswith(f'{name}.')]
+    if below:
+        return f': {below[0]} and others stand under it'
     if len(parts) > 2 and parts[0] in _PER_JOINT and parts[1] not in joints:
         return f'; unknown joint {parts[1]!r}{did_you_mean(parts[1], joints)}'
     return did_you_mean(name, [key for key in known if key.count('.') == name.count('.')])
