@@ -181,6 +181,12 @@ def test_rows_are_put_together_by_stamp_whatever_comes_first():
     assert second['reference.0'] == pytest.approx(0.10)  # what the controller calls its error
     assert np.isnan(second['torsion.1']) and np.isnan(second['block.0.0'])
     assert [second[f'stick.{j}.{i}'] for j in range(2) for i in range(3)] == [1, 0, 1, 0, 1, 0]
+    rows.put('reference', 1_009_000_000, [0.5])  # of one joint: none of this robot
+    rows.put('reference', 1_020_000_000, [0.5, 0.6, 1.0, -1.0])  # carried back by its rate
+    for stamp in (1_005_000_000, 1_018_000_000):
+        rows.put_state(stamp, 2.0, [0.1, 0.2], [0.1, 0.2])
+    alone, carried = rows.take(3.0)[:, rows.names.index('reference.0'):][:, :2]
+    assert np.isnan(alone).all() and carried == pytest.approx([0.498, 0.602])
 
 
 def test_of_a_fast_loop_only_spaced_states_make_rows():
