@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """All verbs of both tools alike: help with examples, exit codes, JSON, colours, completion."""
 
+from argparse import Namespace
 import ast
 from itertools import chain
 import json
@@ -19,6 +20,7 @@ import warnings
 
 from bench import __main__ as bench
 from gms_flex_control.cli import main as tool
+from gms_flex_control.cli.terminal import progress
 from gms_flex_control.cli.verbs import GROUPS
 from gms_flex_control.data.bag import BagWarning
 from gms_flex_control.effects import registry
@@ -137,6 +139,13 @@ def test_a_command_that_compiles_says_so_on_a_terminal(terminal, monkeypatch, ca
     monkeypatch.setattr(sys.stderr, 'isatty', lambda: terminal)
     assert tool.main(['info', 'bag']) == tool.OK
     assert capsys.readouterr().err.count('compiling the inner loops') == terminal
+
+
+def test_progress_is_shown_on_a_terminal_and_never_beside_json(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, 'isatty', lambda: True)
+    for as_json, shown in ((False, '  fit ...\n'), (True, '')):
+        progress(Namespace(json=as_json), '  {} ...')('fit')
+        assert capsys.readouterr() == ('', shown)
 
 
 def test_every_effect_is_listed_with_its_parameters(capsys):
