@@ -38,6 +38,19 @@ OPTIONS = [
     ('view live --namespace a.b', "--namespace: '/a.b/plant' is no full name of a node"),
     ('view live --controller arm', "--controller: 'arm' is no full name of a node"),
     ('view live bag', 'only bags are drawn over each other'),
+    ('view live --robot {robot}', '--robot: the running controller says it; leave it out'),
+    ('view live --joints a b', '--joints: the running controller says it'),
+    ('record --topics /a-b --out {dir}', "'/a-b': topic name must not contain characters other"),
+    ('record --topics / --out {dir}', "'/': topic name must not end with a '/'"),
+    ('record --topics 1x --out {dir}', "'1x': topic name must not have a token that starts with"),
+    *((f'{verb} {{missing}} --robot {{robot}} --out {{bag}}', '{bag}: is a bag; name another')
+      for verb in ('identify', 'discrepancy')),
+    ('analyse {bag} --out {bag}', '--out {bag}: is a bag; name another folder for what comes of'),
+    ('tune --out {bag}', '--out {bag}: is a bag'),
+    ('urdf --ros2-control=', "--ros2-control '': give one word, such as my_hardware/MySystem"),
+    ('urdf --name=', "--name '': give one word, such as arm"),
+    ('info /dev/null', '/dev/null: is no bag file (expected .mcap or .db3'),
+    ('info {packed}', '{packed}: cannot be unpacked ('),
     ('urdf --limits {robot}', 'no limits.<joint> is in it'),
     ('urdf --out {file}/arm.urdf', '{file}/arm.urdf: {file} is a file; name a folder'),
     ('urdf --out /proc/foo', '/proc/foo: cannot be written (No such file or directory)'),
@@ -96,10 +109,12 @@ def printed_of(words, folder, capsys):
     """Run words in which {places} stand; return what is said, that it is all there is checked."""
     places = {'missing': folder / 'missing', 'dir': folder / 'out', 'file': folder / 'file',
               'folder': folder / 'folder', 'empty': folder / 'empty.mcap',
+              'packed': folder / 'packed.mcap.zstd', 'bag': ROOT / 'examples' / 'arm_with_play',
               'arm': ROOT / 'examples' / 'light_arm' / 'robot.yaml',
               'robot': ROOT / 'config' / 'robot.yaml', 'bridge': ROOT / 'config' / 'bridge.yaml'}
     places['file'].write_text('mine')
     places['empty'].touch()
+    places['packed'].write_bytes(b'mine')
     places['folder'].mkdir()
     verb, *words = words.format(**places).split()
     its_tool, start = (tool, 'gms_flex') if verb in tool.VERBS else (bench, bench.PROG)

@@ -127,14 +127,14 @@ def try_lost_reference(bench, tries, tally):
 
 
 def try_two_controllers(bench, tries, tally):
-    """Start a second controller beside the first."""
+    """Start a second controller, of another name, beside the first."""
     loop = Loop(bench)
     for k in range(tries):
         tally.tries += 1
         first = loop.controller
         known = len(loop.commands)
-        loop.start_controller(f'controller_node.second{k}')
-        second = loop.controller
+        loop.start_controller(f'controller_node.second{k}', ('-r', f'__node:={_SECOND}'))
+        second, loop.controller = loop.controller, first
         bench.until(lambda known=known, pid=second.process.pid: _heard(loop, known, pid))
         begin = next(when for when, command in zip(
             loop.commands.times[known:], loop.commands[known:], strict=True)
@@ -145,7 +145,7 @@ def try_two_controllers(bench, tries, tally):
         reported = loop.diagnostics.sentence(PLANT)
         tally.expect(str(first.process.pid) in reported and str(second.process.pid) in reported,
                      f'the plant does not name both: {reported!r}')
-        first.kill()
+        second.kill()
         loop.run(_GONE)
         loop.release()
     tally.expect(largest_torque(loop.commands.since(0.0)) < np.inf, 'a command is not finite')

@@ -221,9 +221,10 @@ class Loop:
                                  wait_for_subscribers=3 - (deaf_to == STATES))
         self.settle()
 
-    def start_controller(self, name='controller_node'):
-        """Start the controller (again)."""
-        self.controller = self.bench.start(name, files=self._files, **self._parameters)
+    def start_controller(self, name='controller_node', arguments=()):
+        """Start the controller (again), with further words of the command line."""
+        self.controller = self.bench.start(name, files=self._files, arguments=arguments,
+                                           **self._parameters)
 
     def start_trajectory(self, name='trajectory_node', arguments=()):
         """Start the trajectory node (again), with further words of the command line."""

@@ -5,6 +5,7 @@
 
 from itertools import product
 from pathlib import Path
+import re
 
 from gms_flex_control.answer import command
 from gms_flex_control.cli.terminal import end, write_or_print
@@ -137,6 +138,10 @@ def _exported(robot, args):
 def urdf(args) -> int:
     """Write or print a robot as URDF; return 0."""
     robot = load_robot(args.robot or robot_file())
+    for option, given in (('name', args.name), ('ros2-control', args.ros2_control)):
+        if given is not None and not re.fullmatch(r'\S+', given):
+            raise ConfigError(f'--{option} {given!r}: give one word, such as '
+                              f'{"arm" if option == "name" else "my_hardware/MySystem"}')
     if robot.arm.frames and (args.limits or args.ros2_control):
         raise ConfigError(f'the URDF of this robot is {robot.arm.frames.source}: limits and '
                           '<ros2_control> belong into that file')
@@ -144,6 +149,6 @@ def urdf(args) -> int:
     if args.limits and limits is None:
         raise ConfigError(f'--limits {" ".join(args.limits)}: no limits.<joint> is in it')
     text = robot_urdf(robot, name=args.name, motors=not args.links_only, limits=limits,
-                      plugin=args.ros2_control)
+                      plugin=args.ros2_control or '')
     write_or_print(text, args.out, f'{robot.n_joints} joints')
     return 0

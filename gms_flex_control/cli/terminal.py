@@ -17,6 +17,7 @@ from gms_flex_control.answer import align, Answer, unbroken
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.file_io import as_json, write_text
 
+_BAG_FILES = ('.mcap', '.db3', '.zstd')
 _WIDTH = 96  # of what is printed as sentences
 
 
@@ -90,6 +91,8 @@ def refuse_unwritable(out) -> None:
         there = there.parent
     if not there.is_dir():
         raise ConfigError(f'--out {out}: {there} is a file; name a folder')
+    if any(any(Path(out).glob(f'*{suffix}')) for suffix in _BAG_FILES):
+        raise ConfigError(f'--out {out}: is a bag; name another folder for what comes of it')
     try:
         with TemporaryDirectory(prefix='.gms_flex_', dir=there):
             pass

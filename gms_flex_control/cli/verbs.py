@@ -69,7 +69,7 @@ _URDF = Verb(
         option('--links-only', action='store_true', help='leave out the motors: a rigid robot'),
         option('--limits', nargs='+', metavar='FILE',
                help='files with limits.<joint>, such as config/bridge.yaml'),
-        option('--ros2-control', metavar='PLUGIN', default='',
+        option('--ros2-control', metavar='PLUGIN',
                help='add a <ros2_control> block with this hardware interface, such as '
                     'mock_components/GenericSystem')),
     ('urdf --robot robot.yaml --out arm.urdf',

@@ -49,6 +49,9 @@ def _view(args):
     if first == 'live':
         if others:
             raise ConfigError(f'live {others[0]}: only bags are drawn over each other')
+        for option in ('robot', 'joints', 'motors'):
+            if getattr(args, option):
+                raise ConfigError(f'--{option}: the running controller says it; leave it out')
         live_view = import_ros('gms_flex_control.nodes.viewer',
                                '; bags can be viewed without').LiveView
         space = f'/{args.namespace.strip("/")}' if args.namespace.strip('/') else ''

@@ -117,8 +117,8 @@ class Bag:
         if not self.path.exists():
             raise BagError(f'{self.path}: there is no such bag; give the folder that '
                            'ros2 bag or gms_flex record made')
-        if self.path.is_file():
-            if _storage_suffix(self.path) is None:
+        if not self.path.is_dir():
+            if not self.path.is_file() or _storage_suffix(self.path) is None:
                 raise BagError(f'{self.path}: is no bag file (expected .mcap or .db3, '
                                'also with .zstd)')
             return [self.path]
@@ -179,6 +179,8 @@ class Bag:
             with open(path, 'rb') as packed, open(plain, 'wb') as out:
                 zstandard.ZstdDecompressor().copy_stream(packed, out)
         except (zstandard.ZstdError, OSError) as error:
+            if not plain.stat().st_size:
+                raise BagError(f'{path}: cannot be unpacked ({error})') from error
             self.damage.append(f'{path.name}: cannot be unpacked whole ({error})')
         return plain
 

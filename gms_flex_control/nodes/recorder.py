@@ -14,9 +14,11 @@ from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
 from gms_flex_control.nodes.process import end_with_launch, hidden_node, NO_EVENTS
 import rclpy
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.task import Future
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 _DEPTH = 5000  # half a second of the fastest lockstep run; memory is taken as it is needed
 _DRAIN_PERIOD = 0.02    # [s]; with the writer's flush period this is what kill -9 can take
@@ -43,6 +45,7 @@ class Recorder:
         self._wanted = None if topics is None else [_absolute(name) for name in topics]
         self._subscriptions, self._refused = {}, set()
         self._silent = {}  # topics without a message yet, and when to say so
+        self._due = time.monotonic() + _PATIENCE  # to say which are missing
         self._queue = deque()
         self._next_search = 0.0
         self._stop = threading.Event()
@@ -76,6 +79,10 @@ class Recorder:
         self._next_search = now + (_SEARCH_PERIOD if busy else _IDLE_PERIOD)
 
     def _name_silent(self, now):
+        if now > self._due:
+            self._due = float('inf')
+            if self.missing:
+                self._say(f'nobody publishes {", ".join(self.missing)} yet (ros2 topic list)')
         for name, due in list(self._silent.items()):
             if self._writer.counts[name]:
                 del self._silent[name]
@@ -203,6 +210,12 @@ def record(out, topics=None, *, duration=None, say=print) -> dict:
     The bag is closed in every case. ``topics`` and ``say`` are those of Recorder. Return how many
     messages came per topic (dict). Raises BagError if ``out`` exists or cannot be written.
     """
+    for name in topics or ():
+        try:
+            validate_full_topic_name(_absolute(name))
+        except InvalidTopicNameException as error:
+            reason = str(error).split(':')[1].strip()
+            raise BagError(f'{name!r}: {reason}') from error
     end = float('inf') if duration is None else time.monotonic() + duration
     stopped = threading.Event()
     previous = _stop_on_signals(stopped)
