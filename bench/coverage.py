@@ -23,7 +23,7 @@ from bench.journal import fingerprint, run_kept
 from bench.known import known_presliding, known_values
 from gms_flex_control.answer import align
 from gms_flex_control.cli.options import add_verb, option, out_folder, Verb, WORKERS
-from gms_flex_control.cli.recordings import read_experiment_of
+from gms_flex_control.data.reader import read_experiment_of
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.identification_plan import plan_identification

@@ -9,11 +9,11 @@ import sys
 from typing import NamedTuple
 
 from gms_flex_control.answer import Answer, command, Number
-from gms_flex_control.cli.recordings import read_experiment_of
 from gms_flex_control.cli.robots import controller_of
 from gms_flex_control.cli.terminal import end, import_ros, progress, refuse_unwritable, say
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.conditions import conditions_of, KEYS, OF_ROBOT, repeat_conditions
+from gms_flex_control.data.reader import read_experiment_of
 from gms_flex_control.design import plan as planning
 from gms_flex_control.design.determination import missing_of, plan_determination
 from gms_flex_control.design.excitation import Bounds, plan_excitation, sentence

@@ -8,8 +8,8 @@ from pathlib import Path
 import sys
 from textwrap import fill
 
-from gms_flex_control.cli.recordings import read_experiment_of
 from gms_flex_control.cli.terminal import end, progress, refuse_repeated, refuse_unwritable
+from gms_flex_control.data.reader import read_experiment_of
 from gms_flex_control.discrepancy.closed_loop import segment_of, with_closed_loop
 from gms_flex_control.discrepancy.compared import as_found, compare
 from gms_flex_control.discrepancy.learning import learn

@@ -13,8 +13,8 @@ from gms_flex_control.data.conditions import NAME, UNKNOWN
 from gms_flex_control.data.csv_import import currents_in
 from gms_flex_control.data.csv_import import import_csv as read_csv
 from gms_flex_control.data.csv_map import load_map
-from gms_flex_control.data.reader import joint_names, read_experiment, read_recording
-from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
+from gms_flex_control.data.reader import joint_names, read_experiment_of, read_recording
+from gms_flex_control.data.recording import link_names
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.file_io import share_path, write_text, written_together
@@ -157,20 +157,3 @@ def _robot_of(args):
         return rigid_joints(args.joints or link_names(joint_names(args.bags[0])))
     robot = load_robot_to_identify(args.robot)
     return only_joints(robot, args.joints) if args.joints else robot
-
-
-def read_experiment_of(path, robot, guess_motors: bool = False) -> tuple:
-    """Return a bag as (Recording, phases), motors by their names in the bag if to be guessed."""
-    return read_experiment(path, robot.joints, None if guess_motors else motors_in(path, robot))
-
-
-def motors_in(path, robot) -> tuple[str, ...]:
-    """
-    Return the motor names of the robot that the bag has, '' for the others.
-
-    A rigid joint needs none, but a bag may still give its torque as that of a motor.
-    """
-    names = joint_names(path)
-    wanted = (motor or joint + MOTOR_SUFFIX
-              for joint, motor in zip(robot.joints, robot.motors, strict=True))
-    return tuple(motor if motor in names else '' for motor in wanted)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag, namespace_of
 from gms_flex_control.data.conditions import conditions_of, with_conditions
-from gms_flex_control.data.recording import Phase, Recording, Topics
+from gms_flex_control.data.recording import MOTOR_SUFFIX, Phase, Recording, Topics
 from gms_flex_control.data.series import names_of, Series
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.key import LARGEST_STATE
@@ -45,6 +45,23 @@ def read_experiment(path, joints=None, motors=None) -> tuple:
     phases = [_phase(path, topic, k, data) for k, data in enumerate(messages)]
     return recording, tuple(phase._replace(time_ns=phase.time_ns - begin)
                             for phase in sorted(phases, key=lambda phase: phase.time_ns))
+
+
+def read_experiment_of(path, robot, guess_motors: bool = False) -> tuple:
+    """Return a bag as (Recording, phases), motors by their names in the bag if to be guessed."""
+    return read_experiment(path, robot.joints, None if guess_motors else motors_in(path, robot))
+
+
+def motors_in(path, robot) -> tuple[str, ...]:
+    """
+    Return the motor names of the robot that the bag has, '' for the others.
+
+    A rigid joint needs none, but a bag may still give its torque as that of a motor.
+    """
+    names = joint_names(path)
+    wanted = (motor or joint + MOTOR_SUFFIX
+              for joint, motor in zip(robot.joints, robot.motors, strict=True))
+    return tuple(motor if motor in names else '' for motor in wanted)
 
 
 def _read(path, joints, motors, topics=None):

@@ -5,12 +5,13 @@
 
 from collections.abc import Iterable
 from functools import lru_cache
+from math import factorial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import lstsq
 from scipy.ndimage import correlate1d, uniform_filter1d
 from scipy.optimize import nnls
-from scipy.signal import savgol_coeffs, upfirdn
 
 MOVING = 0.02        # below this part of the top speed a direction is not relied on
 _ORDER_STEPS = 20    # resolution steps a derivative window should travel at top speed
@@ -84,17 +85,17 @@ def smoothed(time, signals, window) -> list[Derivatives]:
     short = max(3, round(window / 4 / step))
     box = np.full(short, 1.0 / short)
     bell = np.convolve(np.convolve(box, box), np.convolve(box, box))
-    kernels = (np.pad(bell, 1), np.convolve(bell, [0.5, 0.0, -0.5]) / step,
-               np.convolve(bell, [1.0, -2.0, 1.0]) / step ** 2)
-    inside = np.arange(-(-(len(kernels[0]) - 1) // short), (count - 1) // short + 1)
-    result = []
+    kernels = np.stack([np.pad(bell, 1), np.convolve(bell, [0.5, 0.0, -0.5]) / step,
+                        np.convolve(bell, [1.0, -2.0, 1.0]) / step ** 2], axis=1)
+    inside = np.arange(-(-(len(kernels) - 1) // short), (count - 1) // short + 1)
+    behind, result = short * inside[:, None] - np.arange(len(kernels)), []
     for signal in signals:
         known = np.isfinite(signal)
         even = np.interp(grid, time[known], signal[known]) if known.any() else np.zeros(count)
         # the mean is taken off: the second derivative of a large offset is rounding
         mean = even.mean()
-        parts = [upfirdn(kernel, even - mean, 1, short)[inside] for kernel in kernels]
-        result.append(Derivatives(parts[0] + mean, parts[1], parts[2]))
+        value, first, second = np.transpose((even - mean)[behind] @ kernels)
+        result.append(Derivatives(value + mean, first, second))
     return result
 
 
@@ -324,5 +325,6 @@ def derivatives(values: np.ndarray, period: float, window: int,
 @lru_cache(maxsize=64)
 def _local_fit(window, degree, order):
     """Return the derivatives (W, W) at each of W samples, of period 1, of the fit to all."""
-    return np.array([savgol_coeffs(window, degree, order, pos=at, use='dot')
-                     for at in range(window)])
+    powers, places = np.arange(degree + 1), np.arange(float(window))
+    wanted = float(factorial(order)) * (powers == order)
+    return np.array([lstsq((places - at) ** powers[:, None], wanted)[0] for at in range(window)])

@@ -35,7 +35,6 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import minimum_filter1d
 from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
 
 _SAMPLES_PER_WAVE = 4.0  # at the usual speed
 _READINGS_PER_WAVE = 8.0  # counts of the motor's encoder, or standard deviations of its noise
@@ -172,8 +171,12 @@ class _Equation:
 
     def _predicted(self, signals):
         """Return signals (T,) of all recordings as errors of prediction, used samples (S,)."""
-        return np.concatenate([lfilter(self._filter, [1.0], one)[used] for one, used in zip(
+        return np.concatenate([self._error(one)[used] for one, used in zip(
             signals, self._used, strict=True)])
+
+    def _error(self, signal):
+        """Return the error of prediction (T,) at each sample of a signal (T,)."""
+        return np.convolve(signal, self._filter)[:len(signal)]
 
     def _waves(self, orders):
         """Return sines and cosines of orders K as errors of prediction (S, 2 K)."""
@@ -188,9 +191,8 @@ class _Equation:
         left = self._beside(orders)
         # errors of prediction through the filter backwards: of these a wave takes as much as of
         # the errors its errors of prediction do
-        white = [lfilter(self._filter, [1.0], np.where(used, lfilter(
-            self._filter, [1.0], one), 0.0)[::-1])[::-1] for one, used in zip(
-                left, self._used, strict=True)]
+        white = [self._error(np.where(used, self._error(one), 0.0)[::-1])[::-1]
+                 for one, used in zip(left, self._used, strict=True)]
         fastest = 1.0 / (_SAMPLES_PER_WAVE * self._period)
         return tuple(order for signal in (left, white) for order in standing_out(
             self._angles, signal, self._rates, coarsest, fastest) if order < self._finest)

@@ -29,7 +29,6 @@ from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant
 from gms_flex_control.simulation.predictor import copy_state
 import numpy as np
-from scipy.interpolate import interp1d
 
 _FARTHEST = 10.0      # errors of free runs that run away count as so much [rad]
 _SEED = 991           # of the null simulation behind the noise floor, used in no fit
@@ -368,8 +367,9 @@ def _as_modelled(motion, constants):
     states, second = motion_as_modelled(motion, constants, drive)
     true, _, base = cleared(motion, drive, states, second, constants)
     errors = np.concatenate([motion.states - true, base], axis=1)
-    fine = interp1d(motion.time, errors, axis=0, bounds_error=False,
-                    fill_value=(errors[0], errors[-1]))(samples.time)
+    fine = np.stack([np.interp(samples.time, motion.time, one)
+                     for one in errors.reshape(len(errors), -1).T], axis=1).reshape(
+        len(samples.time), *errors.shape[1:])
     return samples.states - fine[:, :6], samples.readings - fine[:, [0, 3]], fine[:, 6:]
 
 

@@ -12,7 +12,7 @@ from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.torque_noise import drawn_noise
 from gms_flex_control.effects.registry import find
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtrit
 
 VARIABLES = remainder.VARIABLES
 UNITS = {'time': 's', 'link angle': 'rad', 'motor angle': 'rad', 'link rate': 'rad/s',
@@ -290,7 +290,7 @@ def _mean_over(x, y, residual, edges):
     few, count = count < _LEAST_CELL, np.maximum(count, _LEAST_CELL)
     mean, square = mean / count, square / count
     alone = np.maximum(_INDEPENDENT * count, 1.5)
-    half = t.ppf(0.975, np.maximum(alone - 1.0, 1.0)) * np.sqrt(
+    half = stdtrit(np.maximum(alone - 1.0, 1.0), 0.975) * np.sqrt(
         np.maximum(square - mean ** 2, 0.0) / alone)
     return np.where(few, np.nan, np.where(np.abs(mean) > half, mean, 0.0))
 

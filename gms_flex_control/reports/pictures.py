@@ -18,7 +18,6 @@ from gms_flex_control.reports.figure_style import (
 )
 from matplotlib.figure import Figure
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 DIRECTIONS = ((1.0, 'forward', COLOURS[0]), (-1.0, 'backward', COLOURS[1]))
 MOST_LOOPS = 6        # drawn in one picture
@@ -224,13 +223,12 @@ def next_figure(plan) -> Figure:
     joints = plan.beliefs.robot.joints
     figure, panels = stacked_panels(len(joints) + 1)
     rate = 1.0 / np.median(np.diff(runs[0].time))
-    low_pass = butter(2, _LOW_PASS, fs=rate, output='sos')
     for j, joint in enumerate(joints):
         panels[0].plot(runs[0].time, runs[0].reference[:, 0, j], STYLES[j % len(STYLES)],
                        color=COLOURS[j % len(COLOURS)], linewidth=0.9, label=joint)
         for k, (run, one) in enumerate(zip(runs[1:], hypotheses[1:], strict=True)):
-            panels[j + 1].plot(run.time, 1e3 * sosfiltfilt(
-                low_pass, run.command[:, j] - runs[0].command[:, j]),
+            panels[j + 1].plot(run.time, 1e3 * _below(
+                _LOW_PASS, run.command[:, j] - runs[0].command[:, j], rate),
                                color=COLOURS[(k + 1) % len(COLOURS)], linewidth=0.8,
                                label=one.words)
         panels[j + 1].set_ylabel(f'{joint} [mN m]')
@@ -253,8 +251,7 @@ def separated_figure(found) -> Figure:
     left = [beliefs.likelihood.torque(one.model)[last] for one in shown]
     time = beliefs.likelihood.whitenings[last].time
     still = beliefs.likelihood.groups.at_rest[last]
-    low_pass = butter(2, _SLOW, fs=1.0 / (time[1] - time[0]), output='sos')
-    left = [sosfiltfilt(low_pass, one, axis=0) for one in left]
+    left = [_below(_SLOW, one, 1.0 / (time[1] - time[0])) for one in left]
     for one in left:
         one[np.tile(still, 2)] = np.nan
     figure, panels = stacked_panels(len(joints))
@@ -269,3 +266,9 @@ def separated_figure(found) -> Figure:
     panels[0].legend()
     return finished(figure, panels, f'Predicted torque less that with {shown[0].words}, below '
                     f'{_SLOW:g} Hz')
+
+
+def _below(frequency, signal, rate):
+    """Return what of a signal (T, ...) of a sample rate [Hz] is below a frequency, no later."""
+    from scipy.signal import butter, sosfiltfilt  # takes 0.4 s
+    return sosfiltfilt(butter(2, frequency, fs=rate, output='sos'), signal, axis=0)
