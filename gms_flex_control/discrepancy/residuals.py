@@ -10,7 +10,7 @@ readings as they are, filtered with the torques alike; smoothed motion serves on
 is a function of it.
 """
 
-from functools import partial
+from functools import cache, partial
 
 from gms_flex_control import friction as gms
 from gms_flex_control import records
@@ -21,7 +21,8 @@ from gms_flex_control.discrepancy.samples import second_difference, smoothing
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
-from gms_flex_control.effects.base import Stage
+from gms_flex_control.effects.base import Stage, Term
+from gms_flex_control.effects.registry import find, names
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -291,18 +292,38 @@ def _residuals(motion, constants, drive, states, second, way):
     Torques are kept: ``way``, tuple of bytes, distinguishes motions of this recording.
     """
     own, work, kept = _key(constants, (), 'friction'), plant.workspace(drive.shape[1]), motion.once
-    friction = kept((*way, *own), partial(_friction, motion, states, constants, work))
+    joints = states
     if acts(constants, SENSOR):
-        way = (*way, motion.torque, *_key(constants, (_ACTUATOR, SENSOR)), *own)
+        turns_against, as_read = np.zeros_like(drive), (*way, *own)
+        way = (*way, *_key(constants, (SENSOR,)))
+        if _bends(constants):
+            turns_against = kept(as_read, partial(_friction, motion, states, constants, work))
+            way = (*way, motion.torque, *_key(constants, (_ACTUATOR,)), *own)
         states, second, base = kept(('cleared', *way), partial(
-            cleared, motion, drive, states, second, constants, friction))
-        friction = kept(way, partial(_friction, motion, states[:, :2] - base, constants, work))
+            cleared, motion, drive, states, second, constants, turns_against))
+        joints = states[:, :2] - base
+    friction = kept((*way, *own), partial(_friction, motion, joints, constants, work))
     bodies = kept((*way, *_key(constants, (), *_of_bodies(constants))), partial(
         _rigid_body, states, second, constants, work))
     out = _formed(motion, constants, drive, states, second, friction, *bodies)
     if motion.samples.pushed is not None:
         out[:, :drive.shape[1]] -= motion.push
     return out
+
+
+@cache
+def _of_torques():
+    """Return the addresses of all errors of encoders that follow from torques, set of int."""
+    kinds = [find(name) for name in names()]
+    return {kind.compiled().address for kind in kinds if issubclass(kind, Term)
+            and kind.stage == SENSOR and not kind.acts_along_motion}
+
+
+def _bends(constants):
+    """Return whether errors of the encoders of a model follow from torques."""
+    effects = constants.effects
+    terms = slice(*effects['stage_start'][[SENSOR, SENSOR + 1]])
+    return not _of_torques().isdisjoint(effects['address'][terms].tolist())
 
 
 def _formed(motion, constants, drive, states, second, friction, bias, inertial, carried):
@@ -383,7 +404,12 @@ def cleared(motion, drive, states, second, constants, friction=None) -> tuple:
 
 def fresh_state(constants) -> np.record:
     """Return a state of the plant whose blocks are unloaded and stick."""
-    state = records.build(plant.state_layout(*constants.friction.stiffness.shape))
+    return _unloaded(*constants.friction.stiffness.shape).copy()
+
+
+@cache
+def _unloaded(joints, blocks):
+    state = records.build(plant.state_layout(joints, blocks))
     state.friction.sticking[:] = 1
     state.friction.direction[:] = 1.0
     return state
