@@ -243,7 +243,6 @@ def _with_unseen_links(motion, constants, drive):
     """Return motion (S, 6, n) and second differences (S, 2, n) with computed links."""
     states, second, before = motion.states, motion.second, None
     weight, shift = weight_of_neighbours(motion.factor), np.zeros_like(drive)
-    joints = [link.joint for link in motion.samples.unseen]
     linear = not (acts(constants, _TORSION) or acts(constants, _SPRING))
     for _ in range(1 if linear else _CORRECTIONS):  # one is exact for a linear spring
         on_motor = _on_motors(motion, constants, drive, states, second)
@@ -253,13 +252,14 @@ def _with_unseen_links(motion, constants, drive):
         for link in motion.samples.unseen:
             j = link.joint
             begun = states[:, 0, j]
-            shift[:, j] = low_pass(
+            moved = low_pass(
                 filtered_alike(begun, weight) + on_motor[:, j] / stiffness[:, j],
                 max(round(link.window / motion.factor), 2)) - begun
-        moved = shift[:, joints]
-        states[:, :3, joints] += np.stack([moved, *derivatives(
-            moved, motion.period, smoothing(motion.period), (1, 2))], axis=1)
-        second[:, 0, joints] += second_difference(moved, motion.period)
+            rates = derivatives(moved, motion.period, smoothing(motion.period), (1, 2))
+            for order, change in enumerate((moved, *rates)):
+                states[:, order, j] += change
+            second[:, 0, j] += second_difference(moved, motion.period)
+            shift[:, j] = moved
     return states, second
 
 
