@@ -28,6 +28,12 @@ REFUSED = {
         'trajectory_node', 'trajectory: {type: via_points, joint1: {points: [0.0, 1.0]}}',
         'each joint needs the same number of points, got [2, 3]'),
     'no YAML': ('controller_node', 'gains: [', "Couldn't parse params file"),
+    'name of a topic': ('plant_node', 'emergency_stop_topic: a b',
+                        "'a b' is no name of a topic or service: topic name must not contain"),
+    'name of a service': ('plant_node', 'hold_services: [a b]',
+                          "'a b' is no name of a topic or service: "),
+    'far away': ('plant_node', 'initial: {joint1: 1.0e+9}',
+                 'initial.joint1 must be from -1e+06 to 1e+06 rad, got 1e+09'),
     'missing file': ('plant_node', None, 'Error opening YAML file'),
     'no robot': ('controller_node', 'mode: realtime', 'joints is missing: no robot file was read',
                  FILES[1:]),
@@ -46,7 +52,9 @@ def outcomes(tmp_path_factory):
             path = folder / f'{case.replace(" ", "_")}.yaml'
             if text is not None:
                 write_parameters(path, text)
-            node = lab.start(f'{name}.{case}', files=[*files, path], **parameters)
+            space = f'__ns:=/{path.stem}'  # of its own: two of one name refuse each other
+            node = lab.start(f'{name}.{case}', files=[*files, path], arguments=('-r', space),
+                             **parameters)
             return node.wait(PATIENCE), node.printed(), path
 
         with ThreadPoolExecutor(2) as pool:
@@ -70,8 +78,8 @@ def test_a_bad_file_is_refused_in_one_sentence(outcomes, case):
     code, printed, path = outcomes[case]
     sentence = REFUSED[case][2]
     assert code == 2 and 'Traceback' not in printed
-    # rcl logs 'Failed to parse global arguments' by itself
-    lines = [line for line in printed.splitlines() if '[rcl]' not in line]
+    # beside what is logged: 'Failed to parse global arguments' of rcl, and how the node starts
+    lines = [line for line in printed.splitlines() if not line.startswith('[')]
     assert len(lines) == 1 and sentence in lines[0], printed
     assert lines[0].startswith(('plant_node', 'controller_node', 'trajectory_node'))
     if case in ('no YAML', 'missing file'):

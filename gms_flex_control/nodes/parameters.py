@@ -80,6 +80,14 @@ class ConfiguredNode(Node):
             (name, [] if value is None else value, descriptor)
             for name, value, descriptor in parameters], ignore_override=ignore_override)
 
+    def resolve_topic_name(self, topic, *, only_expand=False) -> str:
+        """Return the full name of a topic; ConfigError names one that cannot be."""
+        return _resolved(super().resolve_topic_name, topic, only_expand)
+
+    def resolve_service_name(self, service, *, only_expand=False) -> str:
+        """Return the full name of a service; ConfigError names one that cannot be."""
+        return _resolved(super().resolve_service_name, service, only_expand)
+
     def set_parameters_atomically(self, parameter_list) -> SetParametersResult:
         """
         Set all or none, as services ask; a refusal says the way out, as those of rclpy do not.
@@ -111,6 +119,14 @@ class ConfiguredNode(Node):
             return str(error)
         return (f'{name} is no parameter of {self.get_fully_qualified_name()}, or was not given '
                 'when it started')
+
+
+def _resolved(resolve, name, only_expand):
+    try:
+        return resolve(name, only_expand=only_expand)
+    except (RuntimeError, ValueError) as error:  # of rcl, without the name
+        reason = str(error).rsplit(': ', 1)[-1].split(', at /')[0]
+        raise ConfigError(f'{name!r} is no name of a topic or service: {reason}') from error
 
 
 def _plain(value):

@@ -177,7 +177,8 @@ def run_node(make_node, time_slice=SHORT) -> int:
             raise
         # rcl: a parameter file or argument it cannot read
         sentence = re.sub(r', at /\S+:\d+', '', str(error))  # leave out places in rcl's sources
-        return _refuse(f'arguments or parameter file refused: {sentence}')
+        way_out = "; a namespace begins with '/'" if '__ns:=' in sentence else ''
+        return _refuse(f'arguments or parameter file refused: {sentence}{way_out}')
     finally:
         if node is not None:
             node.finish()

@@ -181,7 +181,7 @@ IDENTIFICATION_NODE = (MODE, *below('identification', (  # beyond robot, gains a
 
 def plant_node_keys(joints) -> tuple[Key, ...]:
     """Return the keys of the plant node beyond the robot."""
-    start = Key('initial', 'link angle at the start', 'rad', 0.0)
+    start = Key('initial', 'link angle at the start', 'rad', 0.0, *_PLAUSIBLE)
     return (MODE, *_PLANT, *(replace(start, name=f'initial.{joint}') for joint in joints))
 
 
