@@ -85,16 +85,19 @@ def smoothed(time, signals, window) -> list[Derivatives]:
     short = max(3, round(window / 4 / step))
     box = np.full(short, 1.0 / short)
     bell = np.convolve(np.convolve(box, box), np.convolve(box, box))
-    kernels = np.stack([np.pad(bell, 1), np.convolve(bell, [0.5, 0.0, -0.5]) / step,
-                        np.convolve(bell, [1.0, -2.0, 1.0]) / step ** 2], axis=1)
-    inside = np.arange(-(-(len(kernels) - 1) // short), (count - 1) // short + 1)
-    behind, result = short * inside[:, None] - np.arange(len(kernels)), []
+    kernels = [kernel[::-1] for kernel in (
+        np.pad(bell, 1), np.convolve(bell, [0.5, 0.0, -0.5]) / step,
+        np.convolve(bell, [1.0, -2.0, 1.0]) / step ** 2)]
+    length, result = len(kernels[0]), []
+    inside = np.arange(-(-(length - 1) // short), (count - 1) // short + 1)
+    around = short * inside[:, None] + np.arange(1 - length, 1)
     for signal in signals:
         known = np.isfinite(signal)
         even = np.interp(grid, time[known], signal[known]) if known.any() else np.zeros(count)
         # the mean is taken off: the second derivative of a large offset is rounding
         mean = even.mean()
-        value, first, second = np.transpose((even - mean)[behind] @ kernels)
+        seen = (even - mean)[around]
+        value, first, second = (np.cumsum(seen * kernel, axis=1)[:, -1] for kernel in kernels)
         result.append(Derivatives(value + mean, first, second))
     return result
 
