@@ -23,6 +23,7 @@ from faulty import (
     with_columns,
 )
 from gms_flex_control.data.csv_import import import_csv
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError, IdentificationError
 from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.identification.assumed_robot import believed_model, only_joints, rigid_joints
@@ -191,6 +192,15 @@ def test_kr300_is_healthy_and_its_faults_are_found(name):
             ('swapped_sides', exchanged_sides(recording)),
             ('torque_scale', replace(recording, tau_motor=recording.tau_motor / 256.9))):
         assert kind in {finding.kind for finding in check(fault, robot)}
+
+
+def test_a_torque_of_friction_alone_is_no_error_of_the_program():
+    """Viscous friction explains all of it, and inertia nothing: its weight is 0."""
+    time = np.arange(0.0, 10.0, 0.002)
+    angle = 0.7 * np.sin(2.0 * np.pi * time)[:, None]
+    recording = Recording(time=time, joints=('joint1',), source='friction alone', q_link=angle,
+                          tau_motor=np.gradient(angle, time, axis=0))
+    assert [one.kind for one in check(recording, rigid_joints(['joint1']))] == ['torque_scale']
 
 
 def test_cogging_that_a_drive_works_against_does_not_reverse_its_torque():

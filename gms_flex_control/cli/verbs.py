@@ -135,8 +135,8 @@ _IDENTIFY = Verb(
     'friction parameters from bags, with intervals and a report',
     'Fit the friction of a robot to bags of identification_node, of `ros2 bag record` or of '
     'import-csv. Writes friction.yaml, which plant and controller take as it is, report.json, '
-    'report.html and pictures. Inertia, stiffness and gravity of the robot file are relied on '
-    'unless --estimate all.', (
+    'report.html and pictures. Inertia, stiffness and gravity of the robot file are as sure as '
+    'its uncertainty says; --estimate all finds and writes them as well.', (
         option('bags', nargs='+', metavar='BAG', help='bags of one robot, fitted together'),
         option('--robot', metavar='FILE', nargs='+',
                help='robot parameters, later files winning; by default each joint of the bag is '

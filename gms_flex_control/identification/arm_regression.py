@@ -39,12 +39,15 @@ from gms_flex_control.identification.inertial_parameters import (
     meaning_of,
     names_of,
     nearest_arm,
+    OF_BODY,
+    sizes_of_body,
     ten_numbers,
     UNITS,
 )
 from gms_flex_control.identification.robust_regression import (
     block_scores,
     first_coefficient,
+    heavy_tailed,
     regress,
     weighting_of,
 )
@@ -61,11 +64,9 @@ import numpy as np
 _MEMORY = 2.1       # samples that the low-pass makes alike: 1 / B(0) of the 8th order B-spline
 _ZERO_SD = 0.02     # of an encoder's zero between recordings [rad]
 _LOAD_SD = 1.0      # of an unknown load, as bodies of the mass of the whole arm
-_LOAD_SIZE = 0.3    # and so large [m]
 _WEIGHED = 1e-3     # standard deviation of a load's mass where that alone is known, relative
 _VAGUE_SD = 1e3     # the same of base parameters: those of a joint that stands have a variance
 _DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load identifies it
-_TAILS = 4.0        # degrees of freedom of such logarithms: a light link may be described wrongly
 _ASYMMETRY_SD = 0.1  # half of what friction differs by between the directions, of the rms torque
 _ROUNDS = 50        # of Gauss and Newton at most: scales multiply parameters
 _LEAST_SHARE = 0.1  # of a step that is taken where steps go to and fro
@@ -76,7 +77,7 @@ _ADDS = 0.005       # and at least so much of the torque carried
 
 def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> BaseFit:
     """Estimate the base parameters of a chain in space or in a plane, joints in its order."""
-    arm, sides = _driven(recordings, robot)
+    arm, sides = driven_arm(recordings, robot)
     if all(_whole_load_unknown(one) for one in recordings):
         raise IdentificationError(
             f'{recordings[0].source}: the load of every recording is unknown, which cannot be '
@@ -84,25 +85,25 @@ def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> 
             'rely on the links of the URDF (without --estimate all)')
     base = (base_of(arm, numbers=IN_PLANE) if robot.arm.frames is None
             else base_of(arm, recordings[0].coupling))
-    fit = _Fit(recordings, robot, sides, arm, base)
+    fit = ArmRegression(recordings, robot, sides, arm, base)
     fit.solve()
     if len(recordings) > 1:  # slopes by zeros are of the arm found
         loads = {r: one.body for r, one in fit.loads().items()}
-        fit = _Fit(recordings, robot, sides, arm, base, slopes_of=in_space(fit.nearest[0]),
-                   loads=loads)
+        fit = ArmRegression(recordings, robot, sides, arm, base,
+                            slopes_of=in_space(fit.nearest[0]), loads=loads)
         fit.solve()
     return fit.result(robot)
 
 
 def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Differences | None:
     """Return what differs between recordings of known links; None of one of known torques."""
-    arm, sides = _driven(recordings, robot)
+    arm, sides = driven_arm(recordings, robot)
     if len(recordings) == 1 and not (np.any(recordings[0].scale_sd)
                                      or recordings[0].operation.load_unknown
                                      or recordings[0].coupling is not None):
         return None
     none = Base(np.zeros(0, dtype=int), np.zeros((0, len(all_parameters(arm)))))
-    fit = _Fit(recordings, robot, sides, arm, none)
+    fit = ArmRegression(recordings, robot, sides, arm, none)
     fit.solve()
     return fit.differences()
 
@@ -111,7 +112,8 @@ def _whole_load_unknown(recording):
     return recording.operation.load_unknown and recording.operation.load is None
 
 
-def _driven(recordings, robot):
+def driven_arm(recordings: Sequence[Recording], robot: RobotParams) -> tuple:
+    """Return the arm in space, rigid where motors drive its links, and what drives them."""
     sides = drive_sides(recordings[0], robot)
     return in_space(rigid_where(robot, sides).arm), sides
 
@@ -125,20 +127,28 @@ class _Regression(NamedTuple):
     moving: list        # rows of each joint that count
 
 
-class _Fit:
-    """Least squares of one set of rows; a ``base`` without parameters relies on the links."""
+class ArmRegression:
+    """
+    Least squares of one set of rows; a ``base`` without parameters relies on the links.
 
-    def __init__(self, recordings, robot, sides, arm, base, slopes_of=None, loads=None):
+    ``friction`` is that of `arm_rows.rows_of`, ``spring_sd`` (n,) of scales of a spring's torque.
+    """
+
+    _settles = True   # scales have to
+
+    def __init__(self, recordings, robot, sides, arm, base, slopes_of=None, loads=None,
+                 friction=None, spring_sd=0.0):
         self._robot, self._arm, self._base = robot, arm, base
         self._sources, self._sides = [one.source for one in recordings], sides
         self._temperatures = temperatures_of(recordings)
         self._rows, self._usual = rows_of(recordings, robot, sides, arm, base.lead, [
             carrying(slopes_of or arm, (loads or {}).get(r, one.operation.load))
-            for r, one in enumerate(recordings)])
+            for r, one in enumerate(recordings)], friction)
         n, scale_sd = arm.n_joints, np.max([one.scale_sd for one in recordings], axis=0)
         known = [one.operation.load for one in recordings if not _whole_load_unknown(one)]
         loads = {load and (load.mass, *load.com) for load in known}
-        self._prior_sd = np.maximum(scale_sd, _DRIVE_SD if len(loads) > 1 else 0.0)
+        self._prior_sd = np.maximum.reduce([scale_sd, np.broadcast_to(spring_sd, n), np.full(
+            n, _DRIVE_SD if len(loads) > 1 else 0.0)])
         self._coupling = recordings[0].coupling
         self._layout = layout_of(len(base.lead), recordings, self._prior_sd)
         self._links = base.combination @ all_parameters(arm)
@@ -198,11 +208,16 @@ class _Fit:
         return (rows.known + rows.regressor @ self._at.links + carried + moved
                 + rows.coupled @ self._at.coupled)
 
+    @property
+    def scale(self) -> np.ndarray:
+        """Return what is recorded of a torque (n,)."""
+        return self._at.scale
+
     def solve(self) -> None:
         """Find parameters, zeros and scales; then once more where friction grows with load."""
         self._iterate()
         if len(self._base.lead):
-            self._memory = max(self._scatter()[2], 1.0)
+            self._memory = max(self._scatter()[2], self._memory)
             self._iterate()
         left = [self._left(j) for j in range(len(self._at.scale))]
         self._loaded = np.array([
@@ -253,6 +268,8 @@ class _Fit:
             at.coupled = at.coupled + coupled
             if np.all(np.abs(scales) < _SETTLED):
                 return
+        if not self._settles:
+            return
         worst = layout.free[np.argmax(np.abs(scales))]
         raise IdentificationError(
             f'{self._sources[0]}: the scale of the torque of {self._robot.joints[worst]} does not '
@@ -265,17 +282,13 @@ class _Fit:
         rows, layout = self._rows, self._layout
         precision = np.zeros(layout.coupled.stop)
         precision[layout.zeros] = _ZERO_SD ** -2
-        off = np.log(self._guess / self._at.scale)[layout.free]  # Student's distribution
-        precision[layout.scales] = (_TAILS + 1.0) / (
-            _TAILS * self._prior_sd[layout.free] ** 2 + off ** 2)
-        size, n = _LOAD_SIZE, len(self._at.scale)
-        of_mass = np.repeat([1.0, size, size ** 2], [1, 3, 6])
-        body = self._arm.mass.sum() * of_mass
+        precision[layout.scales] = heavy_tailed(
+            np.log(self._guess / self._at.scale)[layout.free], self._prior_sd[layout.free])
+        body = self._arm.mass.sum() * OF_BODY
         precision[layout.loads] = np.concatenate([np.zeros(0), *(
-            _LOAD_SD * (body if load is None else load.mass * of_mass * np.append(
+            _LOAD_SD * (body if load is None else load.mass * OF_BODY * np.append(
                 _WEIGHED, np.ones(9))) for load in self._known_loads)]) ** -2.0
-        own = np.append(np.tile(body, n), np.full(n, body[-1]))
-        precision[layout.links] = (_VAGUE_SD * own[self._base.lead]) ** -2.0
+        precision[layout.links] = (_VAGUE_SD * sizes_of_body(self._arm)[self._base.lead]) ** -2.0
         precision[layout.coupled] = np.sum(rows.coupled ** 2, axis=(0, 1)) / np.sum(
             rows.torque[:, layout.shared] ** 2)
         return precision

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
-from gms_flex_control.data.signal_analysis import low_pass
+from gms_flex_control.data.signal_analysis import low_pass, means_to_next
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_differences import (
@@ -66,14 +66,18 @@ class Rows(NamedTuple):
     recording: np.ndarray  # (S,) int
 
 
-def rows_of(recordings, robot, sides, arm, lead, slopes_of) -> tuple:
+def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None) -> tuple:
     """
     Return the Rows of recordings, ``slopes_of`` the arms of the slopes, and usual rates.
 
+    ``friction`` Segment, joints, period -> (T, n) [N m] is subtracted from the torque.
     Raises IdentificationError where the low-pass leaves nothing of a recording.
     """
     cut = [(r, segment) for r, recording in enumerate(recordings)
            for segment in segments_of(recording, robot, sides)]
+    if friction:
+        cut = [(r, replace(one, torque=one.torque - means_to_next(
+            friction(one, robot.joints, recordings[r].period)))) for r, one in cut]
     pieces = [(r, replace(one, rate=one.rate * one.tested)) for (r, _), one in zip(
         cut, while_moved([one for _, one in cut], recordings, presliding=False), strict=True)]
     usual = np.sqrt(np.mean(np.concatenate([one.rate for _, one in pieces]) ** 2, axis=0))

@@ -23,7 +23,8 @@ from gms_flex_control.identification.assumed_robot import (
     with_load_friction,
     with_torques,
 )
-from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS, STATICS
+from gms_flex_control.identification.believed_arm import believed_arm
+from gms_flex_control.identification.coordinates import friction_record, STATICS
 from gms_flex_control.identification.criterion import choose_fit, simple_theta
 from gms_flex_control.identification.friction_map import (
     friction_map,
@@ -31,7 +32,7 @@ from gms_flex_control.identification.friction_map import (
     repeatability,
     start_of,
 )
-from gms_flex_control.identification.multi_start import fit_all
+from gms_flex_control.identification.multi_start import fit_all, fit_beside
 from gms_flex_control.identification.objective import (
     Bundle,
     everything,
@@ -60,13 +61,14 @@ from gms_flex_control.identification.segments import (
     travel,
     while_moved,
 )
-from gms_flex_control.identification.selection import CANDIDATES
+from gms_flex_control.identification.selection import CANDIDATES, few_blocks
 from gms_flex_control.identification.uncertainty import (
     curve_of,
     estimates_of,
     shown_displacements,
     spread_of,
 )
+from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import FrictionParams, RobotParams, StribeckParams
 import numpy as np
 
@@ -95,8 +97,8 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
     recordings : sequence of Recording or (Recording, sequence of Phase)
         What was recorded, and what the experiment was doing if that is known.
     robot : RobotParams
-        The robot as described; its inertia, stiffness and gravity are relied on, its friction
-        is not.
+        The robot as described; its inertia, stiffness and gravity are as sure as its
+        `uncertainty` says, its friction is to be found.
     holdouts : sequence of Recording or (Recording, sequence of Phase)
         Recordings to predict only; by default blocks of time are held out.
     options : Options, optional
@@ -133,7 +135,12 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
                                       'predicted; give this recording to be fitted as well')
         currents = _currents_of(recordings, robot, whole)
         data = Data(recordings, holdouts, model, whole)
-        fits = data.fit(options, say)
+        fits = data.search(options, say)
+        if not whole:
+            say('links beside this friction')
+            data = Data(recordings, holdouts, model, arm=data.arm_beside(fits))
+            fits = fit_beside(data.bundle, fits)
+        fits = data.choose(fits, say)
         say('intervals and errors on data held out')
         joints, arm = data.results(fits)
     return Identification(
@@ -168,18 +175,23 @@ class Data:
     Recordings of one robot, cut into segments.
 
     ``given`` and ``holdouts`` are (Recording, phases), the robot is of
-    assumed_robot.believed_model; ``whole`` says that the arm is estimated as well.
+    assumed_robot.believed_model; ``whole`` says that the arm is estimated as well. Otherwise
+    ``arm`` is the one that friction is fitted beside, by default what the recordings show.
     """
 
-    def __init__(self, given, holdouts, robot, whole=False):
+    def __init__(self, given, holdouts, robot, whole=False, arm=None):
         half = half_count(given[0][0].of_joints(robot.joints), robot)  # of readings as they are
         recordings = [cleared(one.of_joints(robot.joints), robot)
                       for one, _ in (*given, *holdouts)]
         period, joints = _common_period(recordings), range(robot.n_joints)
         self.arm_fit = estimate_arm(recordings[:len(given)], robot) if whole else None
         robot = self.arm_fit.robot if whole else robot
-        self.differences = _differences(recordings[:len(given)], robot, self.arm_fit)
         self.described, self.sides = robot, drive_sides(recordings[0], robot)
+        self._recordings = recordings[:len(given)]
+        if not whole:
+            robot = replace(robot, arm=arm or believed_arm(self._recordings, robot))
+        self._arm = robot.arm
+        self.differences = _differences(recordings[:len(given)], robot, self.arm_fit)
         self.robot = rigid_where(robot, self.sides)
         parts = [segments_of(recording, robot, self.sides, phases, period) for recording,
                  (_, phases) in zip(recordings, (*given, *holdouts), strict=True)]
@@ -262,11 +274,21 @@ class Data:
                               for j in np.flatnonzero(found.prior_sd > 0.0)},
                 'loads': {r: one.body for r, one in found.loads.items()}}
 
-    def fit(self, options, say) -> list:
-        """Return a JointFit per joint."""
+    def arm_beside(self, fits) -> ArmParams:
+        """Return the arm that recordings show with the friction of JointFits."""
+        return believed_arm(self._recordings, self.described, {
+            self.described.joints[j]: fit.theta for j, fit in zip(
+                self.fitted, fits, strict=True)}, self._arm)
+
+    def search(self, options, say) -> list:
+        """Return the JointFit per joint that predicts motion best."""
         extras = [np.zeros(len(self.arm_fit.units[j]) if self.arm_fit else 0)
                   for j in self.fitted]
-        fits = fit_all(self.bundle, self.starts, extras, blocks=options.blocks, say=say)
+        return fit_all(self.bundle, self.starts, extras, self.step, blocks=options.blocks,
+                       say=say)
+
+    def choose(self, fits, say) -> list:
+        """Return the JointFit per joint that is chosen of those that `search` found."""
         say('comparing with a fit of the torque')
         self.choices = _per_joint(len(fits), lambda j: choose_fit(
             self.bundle, j, fits, self.step[j]))
@@ -322,7 +344,7 @@ class Data:
         coupled = coupling_sentences(objective, self.bundle, fit.theta, self.robot.joints,
                                      held_out(self.bundle.period), self._apart,
                                      self.described.arm.frames is not None)
-        return (*self.choices[joint].sentences, *_few_blocks(fit), *coupled)
+        return (*self.choices[joint].sentences, *few_blocks(fit), *coupled)
 
     def _errors(self, joint, fits):
         fit, bundle = fits[joint], self.bundle
@@ -348,16 +370,6 @@ def _per_joint(count, task):
     """Return what ``task`` returns for each of ``count`` joints, done in as many threads."""
     with ThreadPoolExecutor(max_workers=count) as pool:
         return list(pool.map(task, range(count)))
-
-
-def _few_blocks(fit):
-    """Return a sentence where a JointFit has as many blocks as were tried and more can be."""
-    most = max(candidate.n_blocks for candidate in fit.candidates)
-    if fit.coordinates.n_blocks < most or most == MOST_BLOCKS:
-        return ()
-    return (f'N = {most} is the largest number of blocks that may be chosen. Where presliding '
-            'needs more, other parameters take part of its place: allow more '
-            f'(--blocks, up to {MOST_BLOCKS})',)
 
 
 def _common_period(recordings):

@@ -28,6 +28,8 @@ SYMBOLS = ('mass', 'moment_x', 'moment_y', 'moment_z', 'inertia_xx', 'inertia_xy
            'inertia_yy', 'inertia_yz', 'inertia_zz')
 UNITS = ('kg', *('kg m',) * 3, *('kg m^2',) * 6)
 MOTOR = 'motor_inertia'
+_SIZE = 0.3         # of bodies [m]
+OF_BODY = np.repeat([1.0, _SIZE, _SIZE ** 2], [1, 3, 6])  # so large are ten numbers of one of 1 kg
 _POSES = 200        # of random motion, more than enough for the rank
 _SAME = 1e-8        # of the largest diagonal element of R: rank
 _SLIGHT = 1e-6      # of a coefficient that is not worth a word
@@ -181,6 +183,12 @@ def base_of(arm: ArmParams, coupling=None, numbers: Sequence[int] = range(10)) -
 def all_parameters(arm: ArmParams) -> np.ndarray:
     """Return what `link_regressors` is per unit of (P,)."""
     return np.concatenate([inertial_parameters(arm), arm.motor_inertia[arm.rigid]])
+
+
+def sizes_of_body(arm: ArmParams) -> np.ndarray:
+    """Return how large inertial parameters (P,) of a body as heavy as the whole arm are."""
+    body = arm.mass.sum() * OF_BODY
+    return np.append(np.tile(body, arm.n_joints), np.full(arm.n_joints, body[-1]))
 
 
 def names_of(joints: Sequence[str], rigid: np.ndarray) -> list:

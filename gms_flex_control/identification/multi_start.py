@@ -18,14 +18,27 @@ none is better. What the good ones differ by is reported as uncertainty.
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import repeat
 from typing import NamedTuple
 
-from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
+from gms_flex_control.identification.coordinates import (
+    Coordinates,
+    equal_blocks,
+    MOST_BLOCKS,
+    N_STEADY,
+)
 from gms_flex_control.identification.friction_map import Start
-from gms_flex_control.identification.least_squares import prior_of, refine, total_cost
+from gms_flex_control.identification.least_squares import (
+    fit_torque,
+    prior_of,
+    refine,
+    TorqueError,
+    total_cost,
+)
 from gms_flex_control.identification.objective import Bundle, coarser, Objective, train
 from gms_flex_control.identification.selection import CANDIDATES, fit_again, fit_joint, JointFit
 from gms_flex_control.identification.uncertainty import widening
+from gms_flex_control.simulation.predictor import parameter_rows
 import numpy as np
 
 COARSE = 4e-3         # sample that is fine enough to find the way [s]
@@ -34,6 +47,7 @@ COARSE = 4e-3         # sample that is fine enough to find the way [s]
 LEVELS = ((8e-3, 0.5), (4e-3, 0.5), (2e-3, 0.5), (2e-3, 1.0))
 GAIN = 1.02           # of the cost, that makes it worth to go on
 KEPT = 4              # ends with coarse samples that fine ones begin from
+_BESIDE = 2           # turns of joints that act on each other
 _SPREAD_SHARPNESS = (3.0, 1.0)
 _SOFT = 0.5           # of the observer's bandwidth: another that is right as well
 _PATIENCE, _PATIENCE_LAST = 8, 5  # fits in a row without a gain that end a multi-start
@@ -48,13 +62,14 @@ _FEW_COUNTS = 1.5
 _GOOD = 1.15          # times the lowest cost: as good an explanation
 
 
-def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, *, blocks=CANDIDATES,
-            say: Callable = lambda text: None) -> list[JointFit]:
+def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, steps: Sequence[float], *,
+            blocks=CANDIDATES, say: Callable = lambda text: None) -> list[JointFit]:
     """
     Fit all joints, in as many threads.
 
-    ``extras`` are further coefficients of each joint to begin with, ``blocks`` the numbers of
-    blocks to choose from; ``say`` is called with what is being done.
+    ``extras`` are further coefficients of each joint to begin with, ``steps`` (n,) of encoders or
+    noise [rad], ``blocks`` the numbers of blocks to choose from; ``say`` is called with what is
+    being done.
     """
     thetas = [rough_theta(start, extra) for start, extra in zip(starts, extras, strict=True)]
     joints, rough = range(len(starts)), coarser(bundle, COARSE)
@@ -62,6 +77,9 @@ def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, *, blocks
         say('fitting each joint')
         training = [Objective(rough, j, thetas, train(rough.period)) for j in joints]
         thetas = list(pool.map(_spread, training, starts, extras))
+        by_torque = list(pool.map(lambda j: _by_torque(training[j], rough, thetas[j], len(
+            extras[j]), steps[j]), joints))
+        thetas = _better(pool, rough, (by_torque, thetas))
         fits = list(pool.map(lambda j: fit_joint(rough, j, thetas, blocks), joints))
         say('refining each joint, the others as they were found')
         fits = _search(pool, bundle, fits, LEVELS)
@@ -71,6 +89,16 @@ def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, *, blocks
             fits = _search(pool, bundle, fits, LEVELS[-1:])
         thetas = [fit.theta for fit in fits]
         return list(pool.map(lambda j: _finish(bundle, j, thetas, fits[j]), joints))
+
+
+def fit_beside(bundle: Bundle, fits: Sequence[JointFit]) -> list[JointFit]:
+    """Return JointFits where a Bundle, whose arm is hardly another, has its nearest minimum."""
+    joints = range(len(fits))
+    with ThreadPoolExecutor(max_workers=len(fits)) as pool:
+        for _ in range(_BESIDE if bundle.arm.kind == 'planar' and len(fits) > 1 else 1):
+            thetas = [fit.theta for fit in fits]
+            fits = list(pool.map(_finish, repeat(bundle), joints, repeat(thetas), fits))
+    return fits
 
 
 def rough_theta(start: Start, extra) -> np.ndarray:
@@ -96,6 +124,40 @@ def _spread(objective, start, extra):
     floor = min(end.evaluation.floor for end in ends)
     best = min(ends, key=lambda end: replace(end.evaluation, floor=floor).cost.sum())
     return coordinates.parameters(best.free)
+
+
+def _by_torque(objective, bundle, theta, n_extra, step):
+    """
+    Return the parameters of as many blocks as there may be that explain the torque best.
+
+    Motion that was measured moves all joints here, whatever friction the others are taken to have.
+    """
+    coordinates, free = equal_blocks(theta, MOST_BLOCKS, n_extra)
+    error = TorqueError(objective, bundle, train(bundle.period), step)
+    return coordinates.parameters(
+        fit_torque(error, coordinates, free, prior_of(coordinates, free)))
+
+
+def _better(pool, bundle, several):
+    """
+    Return of several sets of parameters that which predicts the motion best.
+
+    Of axes that do not act on each other the best of each.
+    """
+    def looked(sets, j):
+        objective = Objective(bundle, j, sets, train(bundle.period))
+        n_extra = len(sets[j]) - parameter_rows(MOST_BLOCKS, 0)
+        return objective.evaluate(*equal_blocks(sets[j], MOST_BLOCKS, n_extra), 1.0,
+                                  derivatives=False)
+
+    def costs(j):
+        found = [looked(sets, j) for sets in several]
+        floor = min(one.floor for one in found)
+        return [replace(one, floor=floor).cost.sum() for one in found]
+    table = np.nan_to_num(list(pool.map(costs, range(len(several[0])))), nan=np.inf)
+    if bundle.arm.kind == 'planar':
+        table[:] = table.sum(axis=0)
+    return [several[k][j] for j, k in enumerate(np.argmin(table, axis=1))]
 
 
 def _search(pool, bundle, fits, levels):

@@ -141,6 +141,13 @@ def observer_bandwidth(arm: ArmParams, coulomb, half, noise, period: float) -> n
     return np.clip(wanted, _SLOWEST, min(_FASTEST, _FASTEST_STEP / period))
 
 
+def friction_along(segment: Segment, joint: int, theta: np.ndarray,
+                   period: float) -> np.ndarray:
+    """Return the friction of a joint (T,) with its parameters along the smoothed motion [N m]."""
+    return gms.replay(smooth_angle(segment, period)[:, [joint]], segment.rate[:, [joint]], period,
+                      friction_record([theta]))[:, 0]
+
+
 class Objective:
     """
     Evaluates parameters of one joint against all data of a Bundle.
@@ -190,10 +197,9 @@ class Objective:
 
     def resistance(self, segment, theta) -> np.ndarray:
         """Return friction of the joint (T,) along the smoothed motion, less further torques."""
-        extra, own = self.extra(segment), [self.joint]
-        friction = gms.replay(smooth_angle(segment, self._bundle.period)[:, own],
-                              segment.rate[:, own], self._bundle.period, friction_record([theta]))
-        return friction[:, 0] - extra @ theta[len(theta) - extra.shape[1]:]
+        extra = self.extra(segment)
+        return friction_along(segment, self.joint, theta, self._bundle.period
+                              ) - extra @ theta[len(theta) - extra.shape[1]:]
 
     def _given(self, segment, theta):
         """Return what is known of a segment and its links, as the predictor takes it."""

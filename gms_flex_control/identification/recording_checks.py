@@ -236,7 +236,7 @@ def _inertia_scale(signals, motion, total, j):
     if whole.as_is < 0.6 or (whole.as_is - friction) < limits.CLEAR * (1 - friction):
         return
     ratio = float(whole.weights[0])
-    factor = max(ratio, 1 / ratio)
+    factor = max(ratio, 1.0 / ratio) if ratio > 0.0 else np.inf
     refused = limits.SCALE_SLIGHT if friction > limits.NEARLY_ALL else limits.SCALE_INERTIA[1]
     if factor > limits.SCALE_INERTIA[0]:
         yield Finding('torque_scale', signals.joints[j],

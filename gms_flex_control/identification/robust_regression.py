@@ -19,6 +19,7 @@ _ROUNDS = 8
 _OWN_SCALE = 50    # rows from which a group has a scale of its own: its median is within 15 %
 _FOLDS = 5
 SLOWEST = 0.05    # of the usual rate: below this a joint does not move
+_TAILS = 4.0       # degrees of freedom of a prior: what is known may be wrong
 _SAME = 1e-9       # of the largest singular value: no column of its own
 
 
@@ -42,6 +43,11 @@ def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = N
         scale = scale / np.sqrt(free) if free else np.inf
         weights = np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-300))
     return weights, scale
+
+
+def heavy_tailed(off: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Return inverse variances of priors with the tails of Student's distribution, where off."""
+    return (_TAILS + 1.0) / (_TAILS * sd ** 2 + off ** 2)
 
 
 def _scale(off):

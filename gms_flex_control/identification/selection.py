@@ -177,3 +177,13 @@ def _unsearched(candidates, chosen, rivals):
     coordinates, free = chosen
     return JointFit(coordinates, free, prior_of(coordinates, free), free, candidates,
                     np.zeros(len(free)), rivals)
+
+
+def few_blocks(fit: JointFit) -> tuple[str, ...]:
+    """Return a sentence where a JointFit has as many blocks as were tried and more can be."""
+    most = max(candidate.n_blocks for candidate in fit.candidates)
+    if fit.coordinates.n_blocks < most or most == MOST_BLOCKS:
+        return ()
+    return (f'N = {most} is the largest number of blocks that may be chosen. Where presliding '
+            'needs more, other parameters take part of its place: allow more '
+            f'(--blocks, up to {MOST_BLOCKS})',)

@@ -214,3 +214,9 @@ class RobotParams:
     def n_joints(self) -> int:
         """Return the number of joints."""
         return len(self.joints)
+
+
+def known_to(robot: RobotParams, kind: str) -> np.ndarray:
+    """Return the relative standard deviation of one of KINDS for each joint (n,)."""
+    return np.array([robot.uncertainty.get((kind, joint), KINDS[kind].sd)
+                     for joint in robot.joints])
