@@ -5,7 +5,7 @@
 
 import re
 
-from bridge_lab import bridge_lab, EFFORTS, fault_of, move
+from bridge_lab import bridge_lab, EFFORTS, enable, fault_of
 from node_harness import Lab, MOTION, stamp_of
 import numpy as np
 import pytest
@@ -109,7 +109,7 @@ def test_a_node_that_was_killed_stands_in_nobodys_way(tmp_path):
 @pytest.mark.flaky(reruns=2)  # a machine too busy discovers the first too late
 def test_a_second_bridge_leaves_the_torque_of_the_first_alone(tmp_path):
     with bridge_lab(tmp_path, silence_timeout=1.0, bridge__state_timeout=1.0) as lab:
-        move(lab)
+        enable(lab)
         publishers = lab.node.count_publishers(EFFORTS)
         second = lab.start('plant_node.second', files=lab.files, **lab.given)
         most = []
@@ -117,4 +117,5 @@ def test_a_second_bridge_leaves_the_torque_of_the_first_alone(tmp_path):
         assert second.wait() == 2 and re.search(RUNS, second.printed())
         assert max(most) == publishers  # neither a bridge nor a guardian came
         lab.more(lab.efforts, 50)
-        assert lab.plant.runs and not fault_of(lab)
+        assert lab.plant.runs
+        assert ' at once' not in fault_of(lab)  # a busy machine may make other faults
