@@ -96,12 +96,13 @@ class Spinner:
         return self._stopped
 
     def add(self, *nodes) -> None:
-        """Take ConfiguredNodes whose callbacks are run; ``health`` of the first is notified."""
+        """Take nodes whose callbacks are run; ``health`` of the first is notified if it has one."""
         health = getattr(nodes[0], 'health', None)
         self._failed = health and health.failed
         self._executor = EventsExecutor()
         for node in nodes:
-            node.namesakes.on_elder = self._refuse
+            if namesakes := getattr(node, 'namesakes', None):  # of a ConfiguredNode
+                namesakes.on_elder = self._refuse
             self._executor.add_node(node)
 
     def _refuse(self, sentence):
