@@ -96,7 +96,7 @@ class Spinner:
         return self._stopped
 
     def add(self, *nodes) -> None:
-        """Take nodes whose callbacks are run; ``health`` of the first is notified if it has one."""
+        """Take nodes whose callbacks are run; ``health`` of the first, if any, is notified."""
         health = getattr(nodes[0], 'health', None)
         self._failed = health and health.failed
         self._executor = EventsExecutor()
