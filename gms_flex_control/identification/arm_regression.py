@@ -147,8 +147,8 @@ class ArmRegression:
         n, scale_sd = arm.n_joints, np.max([one.scale_sd for one in recordings], axis=0)
         known = [one.operation.load for one in recordings if not _whole_load_unknown(one)]
         loads = {load and (load.mass, *load.com) for load in known}
-        self._prior_sd = np.maximum.reduce([scale_sd, np.broadcast_to(spring_sd, n), np.full(
-            n, _DRIVE_SD if len(loads) > 1 else 0.0)])
+        self._prior_sd = np.maximum(np.maximum(scale_sd, spring_sd),
+                                    _DRIVE_SD if len(loads) > 1 else 0.0)
         self._coupling = recordings[0].coupling
         self._layout = layout_of(len(base.lead), recordings, self._prior_sd)
         self._links = base.combination @ all_parameters(arm)

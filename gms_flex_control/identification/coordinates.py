@@ -161,9 +161,9 @@ def yield_quantiles(theta: np.ndarray, n_blocks: int) -> np.ndarray:
                             np.concatenate([yields[:1], yields, yields[-1:]])))
 
 
-def equal_blocks(theta: np.ndarray, n_blocks: int,
-                 n_extra: int) -> 'tuple[Coordinates, np.ndarray]':
+def equal_blocks(theta: np.ndarray, n_blocks: int) -> tuple[Coordinates, np.ndarray]:
     """Return Coordinates and free numbers of N equal blocks like those of ``theta``."""
+    n_extra = len(theta) - parameter_rows(MOST_BLOCKS, 0)
     coordinates = Coordinates(n_blocks, n_extra=n_extra)
     return coordinates, coordinates.pack(
         theta[[0, 4]], theta[[1, 5]], theta[[2, 6]], theta[[3, 7]], theta[8],

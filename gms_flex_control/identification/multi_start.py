@@ -38,7 +38,6 @@ from gms_flex_control.identification.least_squares import (
 from gms_flex_control.identification.objective import Bundle, coarser, Objective, train
 from gms_flex_control.identification.selection import CANDIDATES, fit_again, fit_joint, JointFit
 from gms_flex_control.identification.uncertainty import widening
-from gms_flex_control.simulation.predictor import parameter_rows
 import numpy as np
 
 COARSE = 4e-3         # sample that is fine enough to find the way [s]
@@ -77,8 +76,7 @@ def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, steps: Se
         say('fitting each joint')
         training = [Objective(rough, j, thetas, train(rough.period)) for j in joints]
         thetas = list(pool.map(_spread, training, starts, extras))
-        by_torque = list(pool.map(lambda j: _by_torque(training[j], rough, thetas[j], len(
-            extras[j]), steps[j]), joints))
+        by_torque = list(pool.map(_by_torque, training, repeat(rough), thetas, steps))
         thetas = _better(pool, rough, (by_torque, thetas))
         fits = list(pool.map(lambda j: fit_joint(rough, j, thetas, blocks), joints))
         say('refining each joint, the others as they were found')
@@ -126,13 +124,13 @@ def _spread(objective, start, extra):
     return coordinates.parameters(best.free)
 
 
-def _by_torque(objective, bundle, theta, n_extra, step):
+def _by_torque(objective, bundle, theta, step):
     """
     Return the parameters of as many blocks as there may be that explain the torque best.
 
     Motion that was measured moves all joints here, whatever friction the others are taken to have.
     """
-    coordinates, free = equal_blocks(theta, MOST_BLOCKS, n_extra)
+    coordinates, free = equal_blocks(theta, MOST_BLOCKS)
     error = TorqueError(objective, bundle, train(bundle.period), step)
     return coordinates.parameters(
         fit_torque(error, coordinates, free, prior_of(coordinates, free)))
@@ -146,9 +144,7 @@ def _better(pool, bundle, several):
     """
     def looked(sets, j):
         objective = Objective(bundle, j, sets, train(bundle.period))
-        n_extra = len(sets[j]) - parameter_rows(MOST_BLOCKS, 0)
-        return objective.evaluate(*equal_blocks(sets[j], MOST_BLOCKS, n_extra), 1.0,
-                                  derivatives=False)
+        return objective.evaluate(*equal_blocks(sets[j], MOST_BLOCKS), 1.0, derivatives=False)
 
     def costs(j):
         found = [looked(sets, j) for sets in several]

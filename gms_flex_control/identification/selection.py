@@ -27,7 +27,6 @@ from gms_flex_control.identification.objective import (
     train,
 )
 from gms_flex_control.identification.outcome import Candidate
-from gms_flex_control.simulation.predictor import parameter_rows
 import numpy as np
 from scipy.stats import t as student
 
@@ -67,10 +66,10 @@ class JointFit(NamedTuple):
         return self._replace(free=free, held=held)
 
 
-def _fit_candidate(bundle, joint, thetas, n_blocks, n_extra):
+def _fit_candidate(bundle, joint, thetas, n_blocks):
     """Return Coordinates and free numbers of N blocks, fitted without the data held out."""
     objective = Objective(bundle, joint, thetas, train(bundle.period))
-    coordinates, free = equal_blocks(thetas[joint], n_blocks, n_extra)
+    coordinates, free = equal_blocks(thetas[joint], n_blocks)
     prior = prior_of(coordinates, free)
     for sharpness in _SHARPNESS:
         free = refine(objective, coordinates, free, prior, sharpness=sharpness, roughly=True).free
@@ -147,8 +146,7 @@ def fit_joint(bundle: Bundle, joint: int, thetas: Sequence, blocks: Sequence) ->
 
     Numbers that may not be chosen are fitted as well: they show what depends on the number.
     """
-    n_extra = len(thetas[joint]) - parameter_rows(MOST_BLOCKS, 0)
-    fits = [_fit_candidate(bundle, joint, thetas, n, n_extra)
+    fits = [_fit_candidate(bundle, joint, thetas, n)
             for n in sorted({*blocks, *CANDIDATES})]
     return _unsearched(*choose(bundle, joint, thetas, fits, blocks))._replace(fits=tuple(fits))
 
@@ -163,7 +161,7 @@ def fit_again(bundle: Bundle, joint: int, thetas: Sequence, fit: JointFit,
     that is not that of the search has no ``ends``.
     """
     found = fit.coordinates.n_blocks
-    again = [_fit_candidate(bundle, joint, thetas, n, fit.coordinates.n_extra)
+    again = [_fit_candidate(bundle, joint, thetas, n)
              for n in sorted({*blocks, *CANDIDATES} - {found})]
     candidates, best, rivals = choose(bundle, joint, thetas, [
         *fit.fits, (fit.coordinates, fit.free), *again], blocks)
