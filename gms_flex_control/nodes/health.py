@@ -9,28 +9,20 @@ from functools import wraps
 import time
 import traceback
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from gms_flex_control.hardware.supervision import FAULT
 from gms_flex_control.nodes.namesakes import DIAGNOSTICS
 from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
-from rclpy.time import Time
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _LOOK_PERIOD = 0.1   # a change is published within this [s]
 _LOOKS_PER_REPORT = 10
 _REPORTS_PER_COMPARISON = 10  # where as many endpoints are there as before
 _WARN_PERIOD = 5.0   # of warnings of one kind [s]
-_SYSTEM = Clock()
 _COMMON = ('rosout', 'parameter_events')
 _ENDLESS = 2**62  # the graph reports a duration that was never set as about this or more [ns]
-
-
-def now(node) -> Time:
-    """Return the time of a node; that of the system while it waits for the first /clock."""
-    time_of_node = node.get_clock().now()
-    return time_of_node if time_of_node.nanoseconds else _SYSTEM.now()
 
 
 def trigger(name, act) -> Callable:
@@ -175,15 +167,8 @@ class Health:
 
     def publish(self) -> None:
         """Publish the state now."""
-        self._said = level, sentence = self.status
-        status = DiagnosticStatus(
-            level=level, name=self._node.get_fully_qualified_name().strip('/'), message=sentence,
-            hardware_id=self._node.get_fully_qualified_name(),
-            values=[*(KeyValue(key=key, value=str(value))
-                      for key, value in self._figures().items()), *self._node.namesakes.marks()])
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = now(self._node).to_msg()
-        self._node.namesakes.publisher.publish(message)
+        self._said = self.status
+        message = self._node.namesakes.say(*self._said, self._figures())
         for hear in self._hearers:
             hear(message)
 

@@ -15,9 +15,12 @@ import math
 from gms_flex_control.data.cdr import phase_labels, SOURCE_LABEL, STAMP_LABEL
 from gms_flex_control.params.key import LARGEST_STATE
 import numpy as np
+from rclpy.clock import Clock
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
+_SYSTEM = Clock()
 NANOSECONDS = 1_000_000_000
 _LATEST = round(0.1 * NANOSECONDS)      # a state older than the last by less was overtaken
 _LARGEST_STAMP = 2 ** 63                # beyond what a message's own time can hold [ns]
@@ -36,6 +39,12 @@ class RefusedError(ValueError):
 
 class JointsError(RefusedError):
     """Its names are not those of our joints."""
+
+
+def now(node) -> Time:
+    """Return the time of a node; that of the system while it waits for the first /clock."""
+    time_of_node = node.get_clock().now()
+    return time_of_node if time_of_node.nanoseconds else _SYSTEM.now()
 
 
 def all_finite(values) -> bool:

@@ -10,6 +10,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from gms_flex_control.errors import ConfigError
+from gms_flex_control.nodes.messages import now
 from gms_flex_control.nodes.process import NO_EVENTS
 from rclpy.serialization import deserialize_message
 
@@ -38,11 +39,11 @@ class Namesakes:
     """
 
     def __init__(self, node, effort=0.0):
-        self._node, self.on_elder, self.answer = node, self._refuse, self._say
+        self._node, self.on_elder, self.answer = node, self._refuse, self.say
         self._name, self._met = node.get_fully_qualified_name(), set()
         self._since, self._process = time.time_ns(), f'{os.getpid()} on {gethostname()}'
         self._starting = True
-        self.publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._subscription = node.create_subscription(  # raw: a robot has hundreds of others
             DiagnosticArray, DIAGNOSTICS, self._hear, 10, raw=True, event_callbacks=NO_EVENTS)
         self._ask(_ANSWER if node.direct.known else max(_DISCOVERY, _BUSY * effort))
@@ -51,20 +52,21 @@ class Namesakes:
     def _ask(self, patience):
         take, end = self._subscription.handle.take_message, time.monotonic() + patience
         while time.monotonic() < end:
-            self._say()
+            self.say()
             time.sleep(_LOOK)
             while (taken := take(DiagnosticArray, True)) is not None:
                 self._hear(taken[0])
 
-    def marks(self) -> list:
-        """Return what a report on /diagnostics says of its process (list of KeyValue)."""
-        return [KeyValue(key=_PROCESS, value=self._process),
-                KeyValue(key=_STARTING if self._starting else _RUNNING, value=str(self._since))]
-
-    def _say(self):
-        self.publisher.publish(DiagnosticArray(status=[DiagnosticStatus(
-            name=self._name.strip('/'), message='starting' if self._starting else 'running',
-            hardware_id=self._name, values=self.marks())]))
+    def say(self, level=DiagnosticStatus.OK, sentence='starting', figures=None) -> DiagnosticArray:
+        """Publish how the node is, and since when its process runs it; return the message."""
+        marks = {_PROCESS: self._process, _STARTING if self._starting else _RUNNING: self._since}
+        message = DiagnosticArray(status=[DiagnosticStatus(
+            level=level, name=self._name.strip('/'), message=sentence, hardware_id=self._name,
+            values=[KeyValue(key=key, value=str(value))
+                    for key, value in {**(figures or {}), **marks}.items()])])
+        message.header.stamp = now(self._node).to_msg()
+        self._publisher.publish(message)
+        return message
 
     def _hear(self, data):
         if self._name.encode() not in data:

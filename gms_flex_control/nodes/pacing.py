@@ -9,8 +9,7 @@ import time
 from builtin_interfaces.msg import Time
 from gms_flex_control.hardware.supervision import LATE, Lateness, NOTABLE
 from gms_flex_control.nodes import process, scheduling
-from gms_flex_control.nodes.health import now
-from gms_flex_control.nodes.messages import NANOSECONDS
+from gms_flex_control.nodes.messages import NANOSECONDS, now
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
