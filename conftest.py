@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Fixtures shared by many tests, which cores a test may use, and which files come first."""
 
 from dataclasses import replace
@@ -83,7 +81,7 @@ WITHOUT_NODES = {
     'effects_learned': 24, 'design': 20, 'discrepancy_validation': 20,
     'recovery': 21, 'identification_checks': 20,
     'identification_inertial_parameters': 20, 'cli_identify': 20, 'discrepancy_unseen_links': 14,
-    'comparison': 10, 'speed': 15, 'simulation_predictor': 15, 'identification_arm': 15,
+    'tuning_study': 10, 'speed': 15, 'simulation_predictor': 15, 'identification_arm': 15,
     'real_machines': 15, 'control_effects': 15, 'discrepancy_motion': 15,
     'batches': 14, 'discrepancy_faults': 12, 'cli': 12, 'reports_identification': 12,
     'tuning': 12, 'cli_discrepancy': 10, 'hidden_score': 10, 'discrepancy_noise': 10,

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Files appear whole or not at all, mistakes in YAML have a line; files of the package."""
 
 from collections.abc import Callable, Generator

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
 The interface for Python: what is asked of recordings and robots, and results that show themselves.
 
@@ -16,8 +14,6 @@ import html
 from typing import Any, TYPE_CHECKING
 
 from gms_flex_control.batches import run_batch
-from gms_flex_control.comparison import study
-from gms_flex_control.comparison.tracking import Run, Table4, table4
 from gms_flex_control.data.recording import Phase, Recording
 from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.result import Discrepancy
@@ -33,8 +29,10 @@ from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.discrepancy_values import report_values
 from gms_flex_control.reports.figure_style import stacked_panels, svg
 from gms_flex_control.reports.recordings_page import error_figure
+from gms_flex_control.tuning import study
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands, Proposal, propose
+from gms_flex_control.tuning.tracking import Run, Table4, table4
 from gms_flex_control.tuning.trial import Trial, try_motions
 from matplotlib.figure import Figure
 import numpy as np

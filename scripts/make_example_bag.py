@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Make examples/arm_with_play: 12 s of an arm that has what its robot file does not say."""
 
 from pathlib import Path

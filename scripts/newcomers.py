@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
 Write docs/newcomers.md: how long three newcomers take, from a clone to the end of their tutorial.
 

@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
 Make the pictures of README and docs that `gms_flex` draws, by the commands that stand beside them.
 

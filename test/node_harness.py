@@ -1,13 +1,11 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Real node processes on a ROS domain of their own, and a node in the test that talks to them."""
 
 from functools import cache
 from pathlib import Path
 import signal
 
-from gms_flex_control.control.controller import SteppedController
+from gms_flex_control.control.cascade import SteppedController
 from gms_flex_control.schema.files import load_controller, load_robot
 from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory import builders

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """All verbs of both tools alike: help with examples, exit codes, JSON, colours, completion."""
 
 from argparse import Namespace
@@ -99,7 +97,7 @@ def test_warnings_of_numpy_stay_away_and_ours_are_sentences(monkeypatch, capsys)
         print(worker.stderr, end='')
         return 0
 
-    monkeypatch.setattr('gms_flex_control.cli.bag_files.info', warns)
+    monkeypatch.setattr('gms_flex_control.cli.bags.info', warns)
     monkeypatch.setattr(sys, 'warnoptions', [])
     monkeypatch.delenv('PYTHONWARNINGS', raising=False)
     assert tool.main(['info', 'bag']) == tool.OK
@@ -135,7 +133,7 @@ def test_a_command_that_compiles_says_so_on_a_terminal(terminal, monkeypatch, ca
     def compiles(args):
         return numba.njit(lambda x: x + 1)(-1)
 
-    monkeypatch.setattr('gms_flex_control.cli.bag_files.info', compiles)
+    monkeypatch.setattr('gms_flex_control.cli.bags.info', compiles)
     monkeypatch.setattr(sys.stderr, 'isatty', lambda: terminal)
     assert tool.main(['info', 'bag']) == tool.OK
     assert capsys.readouterr().err.count('compiling the inner loops') == terminal
@@ -169,7 +167,7 @@ def test_an_error_of_the_program_is_no_finding(monkeypatch, capsys):
     def broken(args):
         raise ZeroDivisionError('of the program')
 
-    monkeypatch.setattr('gms_flex_control.cli.bag_files.info', broken)
+    monkeypatch.setattr('gms_flex_control.cli.bags.info', broken)
     assert tool.main(['info', 'bag']) == tool.OWN_ERROR
     reported = capsys.readouterr().err
     assert 'ZeroDivisionError: of the program' in reported

@@ -1,11 +1,9 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The controller makes up for the effects its model names; of others it keeps its hands off."""
 
 from dataclasses import replace
 
-from gms_flex_control.control.controller import SteppedController
+from gms_flex_control.control.cascade import SteppedController
 from gms_flex_control.control.feedforward import as_parameters
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.arm import ArmParams

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Frozen encoders are reported, an arm that stands never is."""
 
 from dataclasses import replace
@@ -8,7 +6,7 @@ import math
 from types import SimpleNamespace
 
 from gms_flex_control.control import frozen_encoders as frozen
-from gms_flex_control.control.controller import SteppedController
+from gms_flex_control.control.cascade import SteppedController
 from gms_flex_control.control.frozen_encoders import EncoderWatch, FrozenEncoders
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.simulation import loop

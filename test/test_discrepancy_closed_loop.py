@@ -1,12 +1,10 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """A recorded closed loop simulated anew; that it comes closer: test_cli_discrepancy.py."""
 
 from dataclasses import replace
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.discrepancy.closed_loop import segment_of, simulated
+from gms_flex_control.discrepancy.compared import segment_of, simulated
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import loop

@@ -1,14 +1,12 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Faults of the data are named as such, before any physics; test_identification_checks has all."""
 
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
 from faulty import clipped, FAULTS, healthy, SIDES, taken
-from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.result import BAD_DATA, UNEXPLAINED
+from gms_flex_control.discrepancy.samples import faults_of
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import names
 from gms_flex_control.errors import BagError

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The bridge without ROS: when torque flows, what stops it, and what it says of that."""
 
 from dataclasses import replace
@@ -11,7 +9,7 @@ from gms_flex_control.hardware.bridge import Bridge, BridgeParams
 from gms_flex_control.hardware.limits import Limits, UNLIMITED
 from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
 from gms_flex_control.hardware.supervision import CommandWatch, SourceWatch, Supervisor
-from gms_flex_control.schema.node_values import bridge_from_values
+from gms_flex_control.schema.build import bridge_from_values
 import pytest
 
 MS = 1_000_000

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Limits against closed forms: ramps, ranges, speeds; what is beyond a margin is named."""
 
 from types import SimpleNamespace

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Imports point one way, ROS stays under nodes/, the bench outside, effects in their files."""
 
 import ast
@@ -21,9 +19,9 @@ ROOT = Path(gms_flex_control.__file__).parent
 # each may import those before it, and itself; one that does not exist yet does no harm
 LAYERS = ['errors', 'file_io', 'batches', 'answer', 'compiled', 'records',
           'params', 'friction', 'effects', 'dynamics', 'trajectory',
-          'control', 'hardware', 'schema', 'exports', 'simulation', 'data',
+          'control', 'hardware', 'schema', 'simulation', 'data',
           'experiment', 'identification', 'discrepancy', 'design',
-          'tuning', 'comparison', 'reports', 'results', 'view', 'nodes', 'cli']
+          'tuning', 'reports', 'results', 'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
 BAGS = re.compile(r'rosbags|mcap')
 NOT_INSTALLED = {'bench', 'scripts', 'test'}
@@ -123,8 +121,8 @@ def test_a_kernel_that_others_call_is_part_of_the_name_of_their_cache():
     ('dynamics/chain.py', 'from ..simulation.plant import step', 'above dynamics'),
     ('data/recording.py', 'from ..cli.main import main', 'above data'),
     ('control/cascade.py', 'import rclpy.node', 'belongs under nodes/'),
-    ('comparison/tracking.py', 'def f():\n    from std_msgs.msg import String', 'under nodes/'),
-    ('comparison/tracking.py', 'if True:\n    from mcap.reader import x', 'under data/'),
+    ('tuning/tracking.py', 'def f():\n    from std_msgs.msg import String', 'under nodes/'),
+    ('tuning/tracking.py', 'if True:\n    from mcap.reader import x', 'under data/'),
     ('cli/demo.py', 'from gms_flex_control.nodes import ros', 'outside a function'),
     ('cli/demo.py', 'def run(args):\n    from bench.speed import timing', 'not installed'),
     ('novel/part.py', '', 'no place in LAYERS'),
@@ -137,7 +135,7 @@ def test_a_forbidden_import_is_found(module, source, complaint):
 # examples of commands
 ALLOWED = {'discrepancy/nuisance.py': {'viscous_asymmetry'},
            'params/robot.py': {'viscous_asymmetry'},
-           **dict.fromkeys(('exports/mujoco.py', 'cli/verbs.py'),
+           **dict.fromkeys(('schema/mujoco.py', 'cli/verbs.py'),
                            set(registry.names()))}
 
 

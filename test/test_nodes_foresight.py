@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """An effort that is sent ahead is what bridge and controller come to, or there is none."""
 
 from dataclasses import replace
@@ -17,7 +15,7 @@ import pytest
 
 following = pytest.importorskip('gms_flex_control.nodes.following')
 foresight = pytest.importorskip('gms_flex_control.hardware.foresight')
-node_values = pytest.importorskip('gms_flex_control.schema.node_values')
+node_values = pytest.importorskip('gms_flex_control.schema.build')
 
 CONFIG = share_path() / 'config'
 FILES = [CONFIG / f'{name}.yaml' for name in ('robot', 'first_start')]

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Inboxes and outlets of a node: nothing waits behind others, all is read as it was written."""
 
 from functools import partial
@@ -10,8 +8,7 @@ from types import SimpleNamespace
 
 from bridge_lab import ask
 from gms_flex_control.nodes import health, messages
-from gms_flex_control.nodes.health import Health
-from gms_flex_control.nodes.namesakes import Namesakes
+from gms_flex_control.nodes.health import Health, Namesakes
 from gms_flex_control.nodes.topics import (
     all_waiting,
     Deserialized,

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Parameters that no robot has are refused; what is printed of linear axes has mm and N."""
 
 from dataclasses import replace
@@ -16,7 +14,7 @@ from gms_flex_control.params.arm import ArmParams, in_currents, in_units
 from gms_flex_control.params.robot import EncoderParams, FrictionParams, StribeckParams
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.figure_style import save_figure
-from gms_flex_control.reports.identification_page import write_identification_report
+from gms_flex_control.reports.recordings_page import write_identification_report
 from gms_flex_control.schema.files import load_robot, save_robot
 from gms_flex_control.view.recorded import scene_of
 from identified import identification

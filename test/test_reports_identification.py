@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Page, pictures and terminal table of an identification."""
 
 
@@ -11,8 +9,8 @@ import warnings
 
 from gms_flex_control.identification.outcome import FrictionMap, Interval
 from gms_flex_control.reports.answers import identification_text
-from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.reports.pictures import loops_figure, map_figure
+from gms_flex_control.reports.recordings_page import write_identification_report
 from html_page import Page
 from identified import ERRORS, identification
 import numpy as np

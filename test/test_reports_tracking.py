@@ -1,14 +1,12 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The folder `gms_flex analyse` leaves behind: table, page and pictures."""
 
 import json
 import struct
 
-from gms_flex_control.comparison.tracking import Run
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.reports import recordings_page
+from gms_flex_control.tuning.tracking import Run
 import numpy as np
 import pytest
 

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The interface for Python: its names, types, results, and the examples of the documents."""
 
 from contextlib import chdir, redirect_stdout
@@ -13,9 +11,9 @@ import subprocess
 import sys
 
 import gms_flex_control as gms
-from gms_flex_control.comparison import study
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.schema.files import load_robot
+from gms_flex_control.tuning import study
 from matplotlib.figure import Figure
 import numpy as np
 import pytest

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Arms of a URDF: rigid-body terms against MuJoCo and the planar closed form; what is refused."""
 
 from dataclasses import replace

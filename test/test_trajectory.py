@@ -1,12 +1,10 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """References: their derivatives, their joins, levels, and what cannot be built."""
 
 from gms_flex_control.errors import ConfigError, TrajectoryError
 from gms_flex_control.params.arm import Frames
+from gms_flex_control.schema.build import trajectory_from_values
 from gms_flex_control.schema.keys import trajectory_keys
-from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.polynomials import require_within, Trajectory
 import numpy as np

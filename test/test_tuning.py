@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Margins against closed forms and simulation; proposals against what was asked of them."""
 
 from dataclasses import replace
@@ -10,15 +8,14 @@ import re
 
 from core_runs import single_axis
 from gms_flex_control.cli.main import main
-from gms_flex_control.control.controller import SteppedController
+from gms_flex_control.control.cascade import SteppedController
 from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.hardware.limits import limited, violation
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams, FrictionParams, StribeckParams
 from gms_flex_control.schema import files
-from gms_flex_control.schema.build import robot_values
-from gms_flex_control.schema.node_values import limits_from_values
+from gms_flex_control.schema.build import limits_from_values, robot_values
 from gms_flex_control.simulation import loop as closed_loop
 from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory import builders

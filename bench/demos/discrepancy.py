@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """`python -m bench demo-discrepancy`: an effect is hidden, found over ROS 2, and driven with."""
 
 from functools import partial
@@ -12,7 +10,7 @@ from bench.demos.hidden_effect import hide_effect
 from gms_flex_control.cli.demo import compile_loops, RATE
 from gms_flex_control.cli.options import add_verb, JSON, number, option, out_folder, Verb
 from gms_flex_control.cli.terminal import conclude, import_ros, prepare, refuse_foreign, say
-from gms_flex_control.discrepancy.closed_loop import with_closed_loop
+from gms_flex_control.discrepancy.compared import with_closed_loop
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.experiment.driven import drive_recorded, DrivenPlan
 from gms_flex_control.experiment.simulated import read_plan

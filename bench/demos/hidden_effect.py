@@ -1,11 +1,8 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """An effect hidden in the default robot, what its user believes, and a motion that shows much."""
 
 from dataclasses import dataclass, replace
 
-from gms_flex_control.comparison.tracking import link_error
 from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.motion import motion_of, scales_of
 from gms_flex_control.effects import registry
@@ -13,6 +10,7 @@ from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError, S
 from gms_flex_control.experiment.simulated import Plan, simulate
 from gms_flex_control.params.robot import EffectSpec, RobotParams, WHOLE_ARM
 from gms_flex_control.trajectory import builders
+from gms_flex_control.tuning.tracking import link_error
 import numpy as np
 
 PERIOD = 2e-3          # of the joint states [s]

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """`python -m bench demo-identify`: the identification experiment over ROS 2, and its use."""
 
 from dataclasses import dataclass, replace
@@ -34,7 +32,7 @@ from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.output import write_friction, write_report_json
 from gms_flex_control.reports.answers import identification_text
-from gms_flex_control.reports.identification_page import write_identification_report
+from gms_flex_control.reports.recordings_page import write_identification_report
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot
 import numpy as np
 

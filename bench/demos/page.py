@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The report of `bench demo-discrepancy`: gap and tracking before and after, and the truth."""
 
 from pathlib import Path
@@ -9,7 +7,6 @@ from typing import Any, NamedTuple
 from bench.demos.hidden_effect import link_rms
 from gms_flex_control import __version__
 from gms_flex_control.answer import align, Answer, command, measured
-from gms_flex_control.comparison.tracking import link_error
 from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.result import Discrepancy, Finding
 from gms_flex_control.file_io import plain, write_json
@@ -24,6 +21,7 @@ from gms_flex_control.reports.figure_style import (
     thinned,
 )
 from gms_flex_control.reports.page import Report, Series
+from gms_flex_control.tuning.tracking import link_error
 import numpy as np
 
 BELIEFS = {'believed': WITHOUT, 'found': WITH, 'true': 'true model'}

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """`python -m bench demo-next`: a recording leaves two names, designed motions over ROS 2 one."""
 
 from collections.abc import Generator
@@ -53,7 +51,7 @@ def demo_next(args) -> int:
     """Drive, design, drive until one name is left; return 0 if it is that of what is hidden."""
     out = Path(args.out)
     refuse_foreign(out, VERB.name)
-    runner = import_ros('gms_flex_control.nodes.motion_runner')
+    runner = import_ros('gms_flex_control.nodes.step_runner')
     os.environ.update(private_environment())  # of the nodes and of this process
     prepare(out, VERB.name)
     believed, plant = (out / f'{name}_robot.yaml' for name in ('believed', 'hidden'))

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Exceptions in callbacks: one traceback, zero torque, a fault that is reported, life after it."""
 
 import time
@@ -44,7 +42,7 @@ def _trigger(service):
 PLACES = (
     (CONTROLLER, 'controller_node', f'{_NODES}.messages:JointStateReader.read', _CALLS, None),
     (CONTROLLER, 'controller_node', f'{_NODES}.messages:read_reference', _CALLS, None),
-    (CONTROLLER, 'controller_node', 'gms_flex_control.control.controller:SteppedController.tick',
+    (CONTROLLER, 'controller_node', 'gms_flex_control.control.cascade:SteppedController.tick',
      _CALLS, None),
     (CONTROLLER, 'controller_node', f'{_CONTROLLER}:ControllerNode._watch', _CALLS, None),
     (CONTROLLER, 'controller_node', f'{_CONTROLLER}:ControllerNode._use', 0,

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Messages as a bench makes and reads them, right ones and wrong ones."""
 
 from gms_flex_control.nodes.messages import read_marks, set_stamp, to_nanoseconds

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Cases of the test bench: a robot with something hidden in it, drawn from kind and seed."""
 
 from dataclasses import dataclass, replace

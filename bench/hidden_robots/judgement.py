@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Answers judged by what was hidden: right, wrong, and how far the numbers are off."""
 
 from gms_flex_control.params.robot import WHOLE_ARM

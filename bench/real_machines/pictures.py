@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """One picture per machine: what torque is left on the data held out, over time and speed."""
 
 from bench.real_machines.machines import MACHINES

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
 How well the exported MJCF moves as the robot: free runs in MuJoCo beside our own.
 
@@ -23,9 +21,9 @@ from gms_flex_control.discrepancy.motion import Motion, motion_of
 from gms_flex_control.effects.base import Change
 from gms_flex_control.effects.registry import find, names
 from gms_flex_control.effects.table import with_changes
-from gms_flex_control.exports.mujoco import EFFECTS, target
-from gms_flex_control.exports.target import export, simplified
 from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.schema.mujoco import EFFECTS, target
+from gms_flex_control.schema.target import export, simplified
 from gms_flex_control.simulation import plant
 import numpy as np
 

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Speed of the simulation: closed loop, single steps, effects; numpy and MuJoCo beside them."""
 
 from dataclasses import replace
@@ -9,7 +7,7 @@ from bench.speed import mujoco_arm, numpy_loop
 from bench.speed.timing import interleaved, Measurement
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade
-from gms_flex_control.control.controller import SteppedController
+from gms_flex_control.control.cascade import SteppedController
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.records import boxed
 from gms_flex_control.simulation import loop, plant

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Intervals hold the truth or are not printed: the worst case of bench.coverage, in short."""
 
 from bench.coverage import Case, held, identified, rows_of

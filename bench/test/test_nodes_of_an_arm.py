@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The arm of a URDF in closed loop, in one process and by nodes, and not beyond its limits."""
 
 from dataclasses import replace

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The verb `demo`: the paper's experiment over ROS 2."""
 
 from dataclasses import replace
@@ -12,8 +10,7 @@ from gms_flex_control.answer import align
 from gms_flex_control.cli.robots import trajectory_file
 from gms_flex_control.cli.terminal import conclude, import_ros, prepare, refuse_foreign, say
 from gms_flex_control.cli.verbs import DEMO_MOTIONS
-from gms_flex_control.comparison.tracking import Run, table4
-from gms_flex_control.control.controller import SteppedController
+from gms_flex_control.control.cascade import SteppedController
 from gms_flex_control.experiment.driven import drive_recorded, DrivenPlan
 from gms_flex_control.experiment.simulated import (
     mixed_error,
@@ -26,6 +23,7 @@ from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.reports.recordings_page import write_tracking_report
 from gms_flex_control.schema.files import load_robot, save_robot
 from gms_flex_control.simulation.loop import SteppedPlant
+from gms_flex_control.tuning.tracking import Run, table4
 import numpy as np
 
 RATE = 500.0  # joint states per second [Hz]

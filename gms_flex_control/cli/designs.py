@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The verbs `next` and `plan`: motions that separate explanations, or identify an arm best."""
 
 import json
@@ -185,7 +183,7 @@ def _in_simulation(task, robot):
 
 def _by_ros():
     """Return what records a motion of the running nodes."""
-    runner = import_ros('gms_flex_control.nodes.motion_runner')
+    runner = import_ros('gms_flex_control.nodes.step_runner')
 
     def record(best, bag, _last, _number):
         motion = best.candidate

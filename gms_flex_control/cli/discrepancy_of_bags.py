@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The verb `discrepancy`: what a model lacks to explain bags of its robot."""
 
 import json
@@ -10,8 +8,7 @@ from textwrap import fill
 
 from gms_flex_control.cli.terminal import end, progress, refuse_repeated, refuse_unwritable
 from gms_flex_control.data.reader import read_experiment_of
-from gms_flex_control.discrepancy.closed_loop import segment_of, with_closed_loop
-from gms_flex_control.discrepancy.compared import as_found, compare
+from gms_flex_control.discrepancy.compared import as_found, compare, segment_of, with_closed_loop
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 # PYTHON_ARGCOMPLETE_OK
 """The tool `gms_flex`: its verbs, one sentence per error, exit codes 0, 1, 2, 70 and 130."""
 

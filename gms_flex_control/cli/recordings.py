@@ -1,13 +1,10 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The verbs on recordings of a robot: `import-csv`, `analyse`, `identify`."""
 
 from dataclasses import replace
 from pathlib import Path
 
 from gms_flex_control.cli.terminal import end, progress, refuse_repeated, refuse_unwritable
-from gms_flex_control.comparison.tracking import Run
 from gms_flex_control.data import metadata
 from gms_flex_control.data.conditions import NAME, UNKNOWN
 from gms_flex_control.data.csv_import import currents_in
@@ -27,8 +24,9 @@ from gms_flex_control.params.arm import in_currents
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.reports import recordings_page
 from gms_flex_control.reports.answers import identification_answer, identification_text
-from gms_flex_control.reports.identification_page import write_identification_report
+from gms_flex_control.reports.recordings_page import write_identification_report
 from gms_flex_control.schema.files import load_robot_to_identify
+from gms_flex_control.tuning.tracking import Run
 
 UNLABELLED = 'unlabelled'
 

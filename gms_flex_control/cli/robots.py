@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The verbs on robot files: `simulate`, `effects`, `export`, `urdf`."""
 
 from itertools import product
@@ -12,9 +10,9 @@ from gms_flex_control.cli.terminal import end, write_or_print
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
-from gms_flex_control.exports import mujoco, target
 from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.params.arm import in_units
+from gms_flex_control.schema import mujoco, target
 from gms_flex_control.schema.files import load_limits, load_robot
 from gms_flex_control.schema.urdf import robot_urdf
 import numpy as np

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The verbs of `gms_flex`: an entry of the table each, whose module is imported when it runs."""
 
 from gms_flex_control.cli.options import (
@@ -30,7 +28,7 @@ _EFFECTS = Verb(
     (option('names', nargs='*', metavar='EFFECT', help='default: all of them'), JSON),
     ('effects', 'effects backlash end_stop --json'))
 _RECORD = Verb(
-    'record', 'bag_files.record', 'record topics into a bag',
+    'record', 'bags.record', 'record topics into a bag',
     'Record topics, each as soon as it has a publisher, until Ctrl-C, SIGTERM or --duration. At '
     'most 0.2 s are lost if the recorder is killed. Exit code 1 if nothing was received.', (
         OneOf((option('--topics', nargs='+', metavar='TOPIC', help='what to record'),
@@ -105,11 +103,11 @@ _IMPORT_CSV = Verb(
     ('import-csv rec_A.csv --map import_kr300.yaml --out kr300',
      'import-csv log.csv --map my_map.yaml --resample 500 --out log_bag'))
 _INFO = Verb(
-    'info', 'bag_files.info', 'topics, rates, gaps and joints of a bag',
+    'info', 'bags.info', 'topics, rates, gaps and joints of a bag',
     'Read a whole bag and list what is in it. Exit code 1 if messages are lost or damaged.',
     (BAG, JSON), ('info my_bag', 'info my_bag --json'))
 _VIEW = Verb(
-    'view', 'view.view', 'the arm moving in a browser, from a bag or live',
+    'view', 'bags.view', 'the arm moving in a browser, from a bag or live',
     'Serve a page that shows the arm, its spring deflection, tracking error, torque and friction '
     'blocks: a bag to play and scrub, or the running loop with sliders for the gains of the '
     'controller. Everything comes from this one process and stays on this machine. Ctrl-C ends '

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
 The cascade control law with friction compensation, Eqs. (8) to (12) and (27) to (30).
 
@@ -14,11 +12,11 @@ from functools import cache, lru_cache
 from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled, compiled_part
-from gms_flex_control.control import compensation, observer
+from gms_flex_control.control import compensation, feedforward, observer
 from gms_flex_control.control.compensation import GMS, GMS_PAPER
 from gms_flex_control.dynamics import chain
 from gms_flex_control.params.gains import COMPENSATIONS, GAINS
-from gms_flex_control.records import FLOAT
+from gms_flex_control.records import boxed, FLOAT, views
 import numpy as np
 
 # Mode gms. Where the reference rests, a stuck link is a stiff, hardly damped spring, and velocity
@@ -232,3 +230,58 @@ def tick(state, measured, reference, dt, constants, work) -> None:
     _friction_derivatives(state, measured, constants, work)
     _elastic_torque(measured, reference, constants, work)
     _motor_law(state, measured, constants, work)
+
+
+@compiled
+def tick_boxed(state, measured, reference, dt, constants, work, feeding, fed) -> None:
+    """Tick the controller and feed effects forward; records come boxed."""
+    tick(state[0], measured[0], reference, dt, constants[0], work[0])
+    feedforward.feed(state[0], measured[0], reference, dt, feeding[0], fed[0])
+
+
+class SteppedController:
+    """
+    The cascade controller, tick by tick, with gains that may change in between.
+
+    ``gains`` are ControllerParams of the start, ``model`` the RobotParams as believed; effects
+    that no controller can compensate are left aside.
+    """
+
+    def __init__(self, gains, model):
+        self._model = feedforward.as_parameters(model)
+        self._work = boxed(workspace(model.n_joints))
+        self._measured = boxed(measurement(model.n_joints))
+        self.measured = views(self._measured[0])
+        self.use(gains)
+        self.reset()
+
+    def use(self, gains) -> None:
+        """Use other ControllerParams from the next tick on."""
+        self._limit = gains.torque_limit
+        self._constants = boxed(constants_of(gains, self._model))
+        self._feeding = boxed(feedforward.constants_of(gains, self._model))
+
+    def reset(self) -> None:
+        """Forget the motion so far: observer and filters begin anew."""
+        self._state = boxed(init(self._model))
+        self._fed = boxed(feedforward.init(self._model.n_joints))
+        self.state = views(self._state[0])
+        self._command = self.state.command
+
+    @property
+    def boxes(self) -> tuple:
+        """Return state, measurement, constants and work space, as `tick_boxed` takes them."""
+        return (self._state, self._measured, self._constants, self._work, self._feeding,
+                self._fed)
+
+    def pass_on(self, torque) -> np.ndarray:
+        """Begin anew, and answer with a torque that is asked for, within limits (n_joints,)."""
+        self.reset()
+        self._command[:] = np.clip(torque, -self._limit, self._limit)
+        return self._command
+
+    def tick(self, reference, dt) -> np.ndarray:
+        """Answer ``measured`` with a torque (n_joints,) [N m]; see `tick`."""
+        tick_boxed(self._state, self._measured, reference, dt, self._constants, self._work,
+                   self._feeding, self._fed)
+        return self._command

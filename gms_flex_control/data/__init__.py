@@ -1,4 +1,2 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Recordings: in memory, as bags of ROS 2 without a ROS installation, from CSV; checks."""

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Motions that may be recorded next, each within the limits of the joints."""
 
 from collections.abc import Sequence
@@ -10,8 +8,8 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import Body
 from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.schema.build import trajectory_from_values
 from gms_flex_control.schema.keys import trajectory_keys
-from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
 

@@ -1,8 +1,7 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Models of one robot beside each other on the same recordings: their errors, their free runs."""
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
+"""Models beside each other on the same recordings: residuals, free runs, the closed loop."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.fitting import retuned
@@ -10,12 +9,21 @@ from gms_flex_control.discrepancy.gap import all_known, free_rms, free_runs, tor
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
+from gms_flex_control.discrepancy.result import Discrepancy
+from gms_flex_control.discrepancy.samples import supply_voltage
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
+from gms_flex_control.errors import BagError
 from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.simulation.loop import Loop
 import numpy as np
 
 _POINTS = 12_000      # of free runs over time, about
-_FARTHEST = 10.0      # where a free run that runs away is drawn [rad]
+_FARTHEST = 10.0      # errors of runs and loops that run away are cut there [rad]
+# of the closed loop
+LEAST_TIME = 1.0   # with a reference all along, shorter recordings are of no use [s]
+_LONGEST = 5.5     # periods between samples of one segment
+_EVEN = 0.02       # of the period: samples closer to an even grid are left as they are
+_SEED, _OTHER_SEED = 991, 992  # of the encoder noise
 
 
 class Compared(NamedTuple):
@@ -85,3 +93,157 @@ def free_runs_of(behind, holdout=()) -> FreeRuns:
     time = (starts[:, None] - motion.samples.time[0]
             + motion.samples.period * np.arange(link.shape[1]))[:, ::step]
     return FreeRuns(motion, time.ravel(), *errors)
+
+
+class Segment(NamedTuple):
+    """The longest part of a recording that has a reference, evenly sampled."""
+
+    source: str
+    begin: float           # in the recording's time [s]
+    period_ns: int
+    reference: np.ndarray  # (T, 5, n)
+    measured: np.ndarray   # (T, n) link angles [rad]
+    q_motor: np.ndarray    # (n,) at the beginning; NaN where unknown [rad]
+    supply: np.ndarray     # (T,) voltage of the drives [V], 0 where it is not known
+
+
+class ClosedLoop(NamedTuple):
+    """
+    Errors of the simulated closed loop: its link angles less those measured, rms (n,) [rad].
+
+    ``before`` is the model as given, ``retuned`` with known parameters re-tuned, ``after`` with
+    the effects found; ``floor`` is what two runs of the last, of other
+    encoder noise, differ by. The courses are those of the first recording.
+    """
+
+    joints: tuple
+    sources: tuple
+    before: np.ndarray
+    retuned: np.ndarray
+    after: np.ndarray
+    floor: np.ndarray
+    time: np.ndarray            # (T,) [s]
+    measured: np.ndarray        # (T, n) [rad]
+    course_before: np.ndarray   # (T, n) of the model re-tuned [rad]
+    course_after: np.ndarray    # (T, n) [rad]
+
+
+def segment_of(recording) -> Segment:
+    """
+    Return the Segment of a Recording of a robot under the cascade controller.
+
+    Raises
+    ------
+    BagError
+        If it has no reference, or no link angles with it, for `LEAST_TIME` on end.
+
+    """
+    seen = np.isfinite(recording.q_link).all(axis=1)
+    if not seen.any():
+        raise BagError(f'{recording.source}: does not have the angles of all links, so there is '
+                       'nothing to hold a simulated closed loop against; leave --controller out')
+    known = seen & np.isfinite(recording.reference).all(axis=(1, 2))
+    first, last = _longest(known, np.diff(recording.time) > _LONGEST * recording.period)
+    time = recording.time[first:last]
+    if len(time) < 2 or time[-1] - time[0] < LEAST_TIME:
+        raise BagError(f'{recording.source}: has no reference of the link angles for '
+                       f'{LEAST_TIME:g} s on end, so its closed loop cannot be simulated; record '
+                       '/reference with the joint states, or leave --controller out')
+    period = (time[-1] - time[0]) / (len(time) - 1)
+    grid = time[0] + period * np.arange(len(time))
+    reference, measured = recording.reference[first:last], recording.q_link[first:last]
+    if np.abs(time - grid).max() > _EVEN * period:
+        reference, measured = (_resampled(grid, time, values) for values in (reference, measured))
+    return Segment(recording.source, float(time[0]), round(1e9 * period), reference, measured,
+                   recording.q_motor[first], supply_voltage(recording, grid))
+
+
+def _longest(known, holes):
+    """Return first and end of the longest run of samples known (T,), with no hole (T - 1,)."""
+    parts = np.cumsum(np.concatenate([[0], holes | (known[1:] != known[:-1])]))
+    counts = np.bincount(parts, weights=known)
+    at = np.flatnonzero(parts == np.argmax(counts))
+    return (at[0], at[-1] + 1) if counts.max() else (0, 0)
+
+
+def _resampled(grid, time, values):
+    """Return values (T, ...) at other times, linearly between the samples."""
+    flat = values.reshape(len(values), -1)
+    columns = [np.interp(grid, time, flat[:, i]) for i in range(flat.shape[1])]
+    return np.stack(columns, axis=1).reshape(values.shape)
+
+
+def simulated(robot, believed, gains, segment, seed=_SEED) -> np.ndarray:
+    """
+    Return the link angles (T, n) that the closed loop of a robot would have measured [rad].
+
+    The controller of the Segment believed another robot; ``seed`` draws the encoder noise.
+    """
+    loop = Loop(robot, believed, period_ns=segment.period_ns, seed=seed,
+                q_link=segment.measured[0], begin=segment.begin)
+    q_motor = np.where(np.isfinite(segment.q_motor), segment.q_motor, segment.measured[0])
+    state = loop.plant_state
+    state.q_motor[:] = np.where(robot.arm.rigid, segment.measured[0], q_motor)
+    state.dq_link[:] = state.dq_motor[:] = segment.reference[0, 1]
+    return loop.run(segment.reference, gains, supply=segment.supply).measured[:, 0]
+
+
+def closed_loop_of(behind, recordings, gains) -> ClosedLoop:
+    """
+    Return the ClosedLoop of recordings with references, with the models before and after.
+
+    The robot that the search ``behind`` began with is what their controller, of ``gains``,
+    believed in.
+    """
+    given, nuisances = behind.likelihood.robot, behind.likelihood.nuisances
+    segments = [segment_of(recording.of_joints(given.joints)) for recording in recordings]
+    retuned, after = (with_nuisances(one.robot, nuisances, one.x)
+                      for one in (behind.before, behind.written))
+    angles = {name: [simulated(robot, given, gains, segment, seed) for segment in segments]
+              for name, robot, seed in (('before', given, _SEED), ('retuned', retuned, _SEED),
+                                        ('after', after, _SEED), ('again', after, _OTHER_SEED))}
+    measured, first = [segment.measured for segment in segments], segments[0]
+    return ClosedLoop(
+        joints=given.joints, sources=tuple(segment.source for segment in segments),
+        **{name: _rms(angles[name], measured) for name in ('before', 'retuned', 'after')},
+        floor=_rms(angles['again'], angles['after']),
+        time=first.begin + 1e-9 * first.period_ns * np.arange(len(first.measured)),
+        measured=first.measured, course_before=angles['retuned'][0],
+        course_after=angles['after'][0])
+
+
+def _rms(runs, others):
+    """Return the rms difference of angles (T, n) over all recordings (n,)."""
+    squares = [np.clip(np.nan_to_num(run - other, nan=_FARTHEST), -_FARTHEST, _FARTHEST) ** 2
+               for run, other in zip(runs, others, strict=True)]
+    return np.sqrt(np.concatenate(squares).mean(axis=0))
+
+
+def with_closed_loop(result, recordings, gains) -> Discrepancy:
+    """
+    Return a Discrepancy of which gap and words have the closed loop, too; bad data as they are.
+
+    ``recordings`` are those held out, or else those that were fitted; their controller, of
+    ``gains``, believed the robot the workflow was given.
+
+    Raises
+    ------
+    BagError
+        If a recording has no reference.
+
+    """
+    if result.gap is None:
+        return result
+    again = closed_loop_of(result.behind, recordings, gains)
+    return replace(result.saying(sentence_of(again)), gap=replace(result.gap, closed_loop=again))
+
+
+def sentence_of(again) -> str:
+    """Return a ClosedLoop in words."""
+    errors = ', '.join(
+        f'{1e3 * before:.3g} -> {1e3 * after:.3g} mrad ({joint}, noise floor '
+        f'{1e3 * floor:.3g})'
+        for joint, before, after, floor in zip(again.joints, again.before, again.after,
+                                               again.floor, strict=True))
+    return ('Errors of the closed loop, simulated anew along the recorded reference and compared '
+            f'with the link angles measured, are {errors}.')

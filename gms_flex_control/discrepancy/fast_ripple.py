@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
 Ripples whose waves pass faster than the whitened residuals show: those of gears, screws, magnets.
 
@@ -27,7 +25,7 @@ from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.samples import encoder_step
 from gms_flex_control.discrepancy.thresholds import CLEARLY, PRACTICAL
 from gms_flex_control.discrepancy.validation import Gain, gain_over, memory_of
-from gms_flex_control.effects.catalogue.motor import TorqueRipple
+from gms_flex_control.effects.catalogue.drive import TorqueRipple
 from gms_flex_control.effects.registry import find
 from gms_flex_control.identification.prediction_error import FEWEST_WAVES
 from gms_flex_control.params.robot import EffectSpec

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The numbers that decide, each with its meaning and where it comes from."""
 
 # Improvement of held-out residual torque that matters in practice, as a share of Coulomb friction:

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """From recordings and a model to what the model lacks: check, measure noise, search, validate."""
 
 from collections.abc import Callable, Sequence
@@ -10,7 +8,6 @@ import time
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy import describe
-from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.evidence import credible, doubted, posterior
 from gms_flex_control.discrepancy.fast_ripple import fast_ripples, with_ripples
 from gms_flex_control.discrepancy.findings import (
@@ -42,6 +39,7 @@ from gms_flex_control.discrepancy.result import (
     Tried,
     UNEXPLAINED,
 )
+from gms_flex_control.discrepancy.samples import faults_of
 from gms_flex_control.discrepancy.search import search
 from gms_flex_control.discrepancy.thresholds import (
     BETTER,

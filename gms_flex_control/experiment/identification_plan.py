@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The identification experiment: its plan from parameter files, and what of it is done."""
 
 from dataclasses import dataclass
@@ -9,9 +7,8 @@ import shutil
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.experiment.identification_steps import Planner, Step, StepLimits
-from gms_flex_control.schema.build import complete
+from gms_flex_control.schema.build import complete, trajectory_from_values
 from gms_flex_control.schema.keys import EXPERIMENTS, identification_keys
-from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
 

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The steps of each identification experiment, planned to keep the limits of every joint."""
 
 from collections.abc import Iterator
@@ -10,7 +8,7 @@ from typing import NamedTuple
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.friction import steady_friction
-from gms_flex_control.schema.node_values import trajectory_from_values
+from gms_flex_control.schema.build import trajectory_from_values
 import numpy as np
 
 _STEEPEST = 2.1875  # acceleration of a change of velocity by 1 in unit time

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """An experiment in this process: read from files, what is believed of the robot, simulated."""
 
 from dataclasses import dataclass, replace
@@ -10,10 +8,14 @@ from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import ConfigError, ParameterError, SimulationError
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import FrictionParams, RobotParams
-from gms_flex_control.schema.build import complete, controller_from_values, robot_from_values
+from gms_flex_control.schema.build import (
+    complete,
+    controller_from_values,
+    robot_from_values,
+    trajectory_from_values,
+)
 from gms_flex_control.schema.files import load_robot, located, read_values
 from gms_flex_control.schema.keys import known_keys, plant_node_keys, trajectory_keys
-from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.simulation import loop
 from gms_flex_control.simulation.loop import Run, SteppedPlant
 from gms_flex_control.trajectory import builders

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
 Efforts that leave before anything else is done about the joint state they answer.
 
@@ -12,7 +10,7 @@ where all is as it was. Both then do their work as ever, and have the last word.
 from array import array
 
 from gms_flex_control.compiled import compiled
-from gms_flex_control.control import controller
+from gms_flex_control.control import cascade
 from gms_flex_control.control.frozen_encoders import acting, look
 from gms_flex_control.hardware.bridge import LONGEST_RAMP, RobotSide
 from gms_flex_control.hardware.limits import is_within, limit
@@ -67,7 +65,7 @@ def answer(merging, mapping, within, allowed, before, torque, given, watching, l
     for j in range(sides.shape[1]):
         measured[0].q_link[j], measured[0].dq_link[j] = sides[0, j], sides[1, j]
         measured[0].q_motor[j], measured[0].dq_motor[j] = sides[2, j], sides[3, j]
-    controller.tick(one, measured, reference, elapsed, constants, work, feeding, fed.copy())
+    cascade.tick_boxed(one, measured, reference, elapsed, constants, work, feeding, fed.copy())
     command = one[0].command
     if not np.isfinite(command).all():
         return False

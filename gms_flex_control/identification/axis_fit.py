@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
 A single joint by linear regression of its torque: inertia, gravity, ripple; the motor's side.
 
@@ -33,7 +31,7 @@ from gms_flex_control.data.signal_analysis import (
     smoothed,
     standing_out,
 )
-from gms_flex_control.effects.catalogue.motor import TorqueRipple
+from gms_flex_control.effects.catalogue.drive import TorqueRipple
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.outcome import CONFIDENT

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """How badly parameters predict the encoders, with gradient and curvature, block by block."""
 
 from collections.abc import Callable, Sequence

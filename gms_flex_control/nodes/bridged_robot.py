@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """A real robot behind topics of ros2_control or behind a device: threads, clocks and messages."""
 
 import sys
@@ -19,7 +17,7 @@ from gms_flex_control.hardware.supervision import (
 from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
 from gms_flex_control.nodes.topics import Inbox, Outlet
-from gms_flex_control.schema.node_values import bridge_from_values
+from gms_flex_control.schema.build import bridge_from_values
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 

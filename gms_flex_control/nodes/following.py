@@ -1,12 +1,10 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """What torque answers a joint state: the law, the reference it follows, and what forbids it."""
 
 import time
 from typing import NamedTuple
 
-from gms_flex_control.control.controller import SteppedController
+from gms_flex_control.control.cascade import SteppedController
 from gms_flex_control.control.frozen_encoders import EncoderWatch
 from gms_flex_control.hardware.supervision import SourceWatch
 from gms_flex_control.nodes.health import OK, WARN

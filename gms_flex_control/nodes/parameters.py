@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Node parameters from the schema: declared, coerced, judged, applied."""
 
 from array import array
@@ -14,7 +12,7 @@ from tempfile import mkdtemp
 import time
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
-from gms_flex_control.nodes.namesakes import Namesakes
+from gms_flex_control.nodes.health import Namesakes
 from gms_flex_control.nodes.process import NO_EVENTS
 from gms_flex_control.nodes.topics import Direct
 from gms_flex_control.params.key import checked, range_in_words, REQUIRED

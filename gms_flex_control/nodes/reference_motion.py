@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The motion of the reference in the time of the joint states, smooth whatever it goes over to."""
 
 from gms_flex_control.errors import TrajectoryError

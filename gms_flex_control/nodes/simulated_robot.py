@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The simulated robot of a plant node, and what takes its torque away."""
 
 from functools import partial
@@ -19,8 +17,7 @@ from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.pacing import Lockstep, Paced
 from gms_flex_control.nodes.topics import Inbox, Outlet
-from gms_flex_control.schema.build import robot_from_values
-from gms_flex_control.schema.node_values import limits_from_values
+from gms_flex_control.schema.build import limits_from_values, robot_from_values
 from gms_flex_control.simulation.loop import SteppedPlant
 import numpy as np
 from rclpy.logging import LoggingSeverity

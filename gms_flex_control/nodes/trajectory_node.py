@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The reference as a ROS 2 node: one message per joint state, a sample ahead."""
 
 from contextlib import suppress
@@ -11,15 +9,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
 from gms_flex_control.hardware.supervision import ACTIVE, FAULT
 from gms_flex_control.nodes import joint_trajectory, messages, process, scheduling
-from gms_flex_control.nodes.health import Health, OK, trigger
+from gms_flex_control.nodes.health import DIAGNOSTICS, Health, OK, trigger
 from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
-from gms_flex_control.nodes.namesakes import DIAGNOSTICS
 from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
 from gms_flex_control.nodes.reference_motion import LinkStates, LONGEST_PAUSE, Motion
 from gms_flex_control.nodes.topics import Inbox, Outlet
-from gms_flex_control.schema.build import frames_from_values
+from gms_flex_control.schema.build import frames_from_values, trajectory_from_values
 from gms_flex_control.schema.keys import robot_keys, trajectory_keys
-from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory.polynomials import require_within
 import numpy as np
 from sensor_msgs.msg import JointState

@@ -1,16 +1,14 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """A comparison of friction compensations: table, answer and page."""
 
 from functools import partial
 
 from gms_flex_control.answer import align, Answer, command, measured
-from gms_flex_control.comparison import study
-from gms_flex_control.comparison.study import conditions, CONTESTANTS, NOMINAL
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports.figure_style import COLOURS, labelled, side_by_side, STYLES
 from gms_flex_control.reports.page import Report, Series
+from gms_flex_control.tuning import study
+from gms_flex_control.tuning.study import conditions, CONTESTANTS, NOMINAL
 import numpy as np
 
 _GROUPS = {'friction': 'F+-30%', 'K': 'K+-20%', 'M': 'M+-30%', '4096 counts': '4k', '16384 counts':

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Figures for print: identification (the paper's Figs. 3 and 4), discrepancy, planned motion."""
 
 from gms_flex_control.discrepancy.describe import angle_scale, torque_scale

@@ -1,13 +1,14 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Checked values become the frozen objects of params/, and the other way round."""
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
+"""Checked values become frozen objects: robots, gains, limits, bridges, motions; and back."""
 
 from contextlib import contextmanager
 
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.catalogue.link import GravityTilt
-from gms_flex_control.errors import ConfigError, ParameterError
+from gms_flex_control.errors import ConfigError, ParameterError, TrajectoryError
+from gms_flex_control.hardware.bridge import BridgeParams
+from gms_flex_control.hardware.limits import Limits, NEEDED, UNLIMITED
+from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
 from gms_flex_control.params.arm import ArmParams, Frames
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.key import checked, keys_of, REQUIRED
@@ -20,8 +21,11 @@ from gms_flex_control.params.robot import (
     StribeckParams,
     WEIGHT_TOLERANCE,
 )
-from gms_flex_control.schema.keys import controller_keys, DOWN, known_keys, robot_keys
+from gms_flex_control.schema import keys as schema
+from gms_flex_control.schema.keys import DOWN, known_keys, robot_keys
 from gms_flex_control.schema.urdf_arm import read_links
+from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
 
 _OF_LINKS = ('mass', 'length', 'com', 'inertia')  # which a URDF states
@@ -37,13 +41,11 @@ def complete(keys, values: dict) -> dict:
     """Return checked values of all ``keys``, defaults filled in."""
     flat = {}
     for key in keys:
-        if key.name in values:
-            flat[key.name] = checked(key, values[key.name])
-        elif key.default_beside(values) is REQUIRED:
+        flat[key.name] = (checked(key, values[key.name]) if key.name in values
+                          else key.default_beside(values))
+        if flat[key.name] is REQUIRED:
             raise ConfigError(f'{key.name} is missing: {key.description}'
                               f'{f" [{key.unit}]" if key.unit else ""}')
-        else:
-            flat[key.name] = key.default_beside(values)
     return flat
 
 
@@ -108,12 +110,10 @@ def _row(params, prefix, j):
 
 def _require_links(kind, joints, values):
     """Refuse a planar chain whose file leaves out what a default would change silently."""
-    if kind != 'planar':
-        return
     needed = [f'arm.{joint}.{name}' for joint in joints for name in ('mass', 'com')]
     needed += [f'arm.{joint}.length' for joint in joints[:-1]]
     missing = [name for name in needed if name not in values]
-    if missing:
+    if missing and kind == 'planar':
         raise ConfigError(f'{missing[0]} is missing: a planar chain needs mass and com of each '
                           'link and the length of all but the last')
 
@@ -138,10 +138,9 @@ def _links(flat, joints):
         usual = {f'arm.{joint}.{name}': value for joint in joints for name, value in (
             *dict.fromkeys(_FACTORS, 1.0).items(), ('inertial', ()))}
         refusal = f"goes with arm.kind urdf, this is {flat['arm.kind']}"
-        _refuse_given(flat, usual | dict.fromkeys(('arm.urdf', 'arm.base', 'arm.tip'), ''),
-                      refusal)
-        _refuse_given(flat, {'arm.gravity_vector': DOWN},
-                      f'{refusal}: give arm.gravity')
+        usual |= dict.fromkeys(('arm.urdf', 'arm.base', 'arm.tip'), '')
+        _refuse_given(flat, usual, refusal)
+        _refuse_given(flat, {'arm.gravity_vector': DOWN}, f'{refusal}: give arm.gravity')
         return {'gravity': flat['arm.gravity']}
     _refuse_given(flat, {'arm.gravity': 0.0}, 'does not go with arm.kind urdf: give '
                   'arm.gravity_vector: [x, y, z] in the frame of the base')
@@ -225,7 +224,7 @@ def _effects(values):
 
 def controller_from_values(values: dict, joints) -> ControllerParams:
     """Build the gains of ``joints`` from flat parameters; errors as of `robot_from_values`."""
-    flat = complete(controller_keys(joints), values)
+    flat = complete(schema.controller_keys(joints), values)
     with _about(f"gains of {', '.join(joints)}"):
         return ControllerParams(compensation=flat['compensation'],
                                 **columns(ControllerParams, flat, 'gains', joints))
@@ -287,3 +286,113 @@ def _link_values(robot):
                    for name, factor in zip(_FACTORS, factors, strict=True)}
     return values | {f'arm.{name}': getattr(frames, name) for name in ('base', 'tip')
                      if getattr(frames, name)}
+
+
+def limits_from_values(values, joints) -> Limits | None:
+    """Return Limits of ``joints`` from flat parameters of a plant; None if nothing is limited."""
+    flat = complete(schema.safety_keys(joints), values)
+    if all(abs(flat[f'limits.{joint}.{name}']) >= UNLIMITED for joint in joints
+           for name in (*NEEDED, 'torsion')):
+        return None
+    return Limits(**columns(Limits, flat, 'limits', joints))
+
+
+def bridge_from_values(values, joints, motors) -> BridgeParams:
+    """
+    Return BridgeParams from flat parameters, links ``joints`` and their ``motors`` ('' if rigid).
+
+    ConfigError or ParameterError if a value has the wrong type or range, or a limit is missing.
+    """
+    flat = complete((*schema.safety_keys(joints), *schema.bridge_keys(joints)), values)
+    sources = flat['bridge.state_topics']
+    if flat['bridge.device']:
+        sources = (f"device {flat['bridge.device']}",)
+    if not sources:
+        raise ConfigError('bridge.state_topics is empty: name at least one topic')
+    return BridgeParams(
+        joint_map=_joint_map(flat, joints, motors),
+        limits=Limits(**columns(Limits, flat, 'limits', joints)), sources=sources,
+        state_timeout=flat['bridge.state_timeout'],
+        silence_timeout=flat['silence_timeout'], velocity_cutoff=flat['bridge.velocity_cutoff'],
+        skew=flat['bridge.skew'], guarded=flat['bridge.guardian'] and not flat['bridge.device'])
+
+
+def _joint_map(flat, joints, motors):
+    links, motor_sides, actuators = [], [], []
+    for joint, motor in zip(joints, motors, strict=True):
+        prefix = f'mapping.{joint}'
+        with _about(prefix):
+            links.append(_reading(flat, f'{prefix}.link', joint))
+            motor_sides.append(_reading(flat, f'{prefix}.motor', motor) if motor else None)
+            effort, moved = f'{prefix}.effort', motor_sides[-1] or links[-1]
+            actuators.append(Actuation(
+                name=flat[f'{effort}.name'] or moved.name, sign=flat[f'{effort}.sign'],
+                torque_constant=flat[f'{effort}.torque_constant'],
+                gear=flat[f'{effort}.ratio'] if flat[f'{effort}.side'] == 'motor' else 1.0))
+    return JointMap(joints, links, motor_sides, actuators, flat['bridge.command_order'])
+
+
+def _reading(flat, prefix, name):
+    return Reading(name=flat[f'{prefix}.name'] or name,
+                   **{key.name: flat[f'{prefix}.{key.name}'] for key in keys_of(Reading)})
+
+
+def trajectory_from_values(values: dict, joints) -> Trajectory:
+    """
+    Return the Trajectory chosen by ``trajectory.type``, its own time beginning at 0.
+
+    Of schema.keys.trajectory_keys ``values`` may leave out those with a default. ConfigError,
+    which names the type, if they make no trajectory.
+    """
+    values = {key.name: key.default for key in schema.trajectory_keys(joints)} | values
+    kind = values['trajectory.type']
+    try:
+        return _BUILDERS[kind](_Motion(values, joints))
+    except TrajectoryError as error:
+        raise ConfigError(f'trajectory.type {kind}: {error}') from error
+
+
+class _Motion:
+    """Short access to the parameters of one motion."""
+
+    def __init__(self, values, joints):
+        self._values, self._joints = values, joints
+
+    def __getitem__(self, name):
+        return self._values[f'trajectory.{name}']
+
+    def each(self, name) -> list:
+        """Return one parameter of every joint (list)."""
+        return [self._values[f'trajectory.{joint}.{name}'] for joint in self._joints]
+
+    def rows(self, name) -> list:
+        """Return a list per joint as one of all joints per entry; as many of every joint."""
+        columns = self.each(name)
+        if len({len(column) for column in columns}) != 1 or not columns[0]:
+            raise TrajectoryError(f'each joint needs the same number of {name}, got '
+                                  f'{[len(column) for column in columns]}')
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    def moved(self, trajectory) -> Trajectory:
+        """Return a motion from zero as one from where it is to begin."""
+        return trajectory.displaced(self.each('offset'))
+
+
+_BUILDERS = {
+    'hold': lambda p: builders.hold([0.0 for _ in p.each('amplitude')]),
+    'sinusoid': lambda p: builders.sinusoid(p.each('amplitude'), p.each('period'),
+                                            phase=p.each('phase'), ramp_time=p['ramp_time']),
+    'polynomial': lambda p: builders.polynomial(p.each('amplitude'), p['move_time'],
+                                                p['hold_time'], p['repeats']),
+    'via_points': lambda p: builders.via_points(p.rows('points'), p['move_time'], p['hold_time']),
+    'fourier': lambda p: p.moved(builders.fourier(
+        p.rows('sine'), p.rows('cosine'), p.each('period')[0], repeats=p['repeats'],
+        ramp_time=p['ramp_time'])),
+    'velocity_levels': lambda p: p.moved(builders.velocity_levels(
+        p.rows('velocities'), p['durations'], settle_time=p['ramp_time'])),
+    'torque_levels': lambda p: builders.torque_levels(
+        p.rows('levels'), p['rate']).displaced(p.each('bias')),
+    'sliding': lambda p: p.moved(builders.sliding(
+        p.each('velocity'), p['modulation'], p.each('period')[0], p['duration'],
+        settle_time=p['ramp_time'])),
+}

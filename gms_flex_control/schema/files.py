@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """ROS parameter files: read with line numbers for messages, written whole or not at all."""
 
 from pathlib import Path
@@ -12,8 +10,8 @@ from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema import build
+from gms_flex_control.schema.build import limits_from_values
 from gms_flex_control.schema.keys import known_keys
-from gms_flex_control.schema.node_values import limits_from_values
 
 _WRAPPER = 'ros__parameters'
 _COMMENT_WIDTH = 90

@@ -1,4 +1,2 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Gains for the cascade controller: proposed, judged by their margins, tried under uncertainty."""
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
+"""Gains of the cascade controller: proposed, judged by margins, tried, compared by errors."""

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
 A controller tried in simulation: how it tracks, what it costs, how quietly it rests.
 
@@ -13,7 +11,7 @@ from dataclasses import replace
 import math
 from typing import NamedTuple
 
-from gms_flex_control.effects.catalogue.actuator import InputDelay
+from gms_flex_control.effects.catalogue.drive import InputDelay
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.schema.build import robot_from_values, robot_values
 from gms_flex_control.simulation import loop

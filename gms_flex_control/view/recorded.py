@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """What the page draws: the scene of a robot, and a bag as summary, frames and charts."""
 
 from dataclasses import asdict, dataclass, field

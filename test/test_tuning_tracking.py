@@ -1,15 +1,13 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Tracking tables against closed forms and print, and `analyse` itself."""
 
 import json
 
 from gms_flex_control.cli.main import build_parser
-from gms_flex_control.comparison.tracking import Run, Table4, table4, track
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
+from gms_flex_control.tuning.tracking import Run, Table4, table4, track
 import numpy as np
 import pytest
 

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Compensations side by side: conditions, figures and batches."""
 
 from dataclasses import replace
@@ -9,14 +7,14 @@ import re
 
 from core_runs import model_with_error
 from gms_flex_control.cli.main import main
-from gms_flex_control.comparison import study
-from gms_flex_control.comparison.study import Condition, conditions, CONTESTANTS, plant_of
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values
 from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
+from gms_flex_control.tuning import study
+from gms_flex_control.tuning.study import Condition, conditions, CONTESTANTS, plant_of
 import numpy as np
 import pytest
 

@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
 A robot as MuJoCo's XML (MJCF), in the elements that MuJoCo has for its parts.
 
@@ -21,8 +19,8 @@ from xml.etree.ElementTree import Comment, SubElement
 
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.exports.target import Target
 from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.schema.target import Target
 import numpy as np
 
 TIMESTEP = 5e-4      # [s]

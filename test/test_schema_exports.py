@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """A robot for other programs: MuJoCo moves it as the equations say, what is lost is refused."""
 
 import csv
@@ -14,13 +12,13 @@ from gms_flex_control.cli.main import main
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.exports import mujoco
-from gms_flex_control.exports import target as friction_targets
-from gms_flex_control.exports.target import export
 from gms_flex_control.friction import steady_friction
 from gms_flex_control.params.robot import WHOLE_ARM
+from gms_flex_control.schema import mujoco
+from gms_flex_control.schema import target as friction_targets
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_robot
+from gms_flex_control.schema.target import export
 import numpy as np
 import pytest
 from ruamel.yaml import YAML

@@ -1,17 +1,17 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The verb `view`: a bag or the running loop in a browser."""
 
 from contextlib import nullcontext
+from dataclasses import asdict
 import re
 import signal
+import sys
 import time
 import webbrowser
 
-from gms_flex_control.cli.terminal import import_ros, say
+from gms_flex_control.cli.terminal import end, import_ros, say
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.file_io import robot_file
+from gms_flex_control.file_io import as_json, robot_file
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.recorded import open_bag
 from gms_flex_control.view.server import ViewServer
@@ -64,3 +64,32 @@ def _view(args):
     return nullcontext(open_bag(
         first, load_robot(args.robot) if args.robot else None, default=load_robot(robot_file()),
         joints=args.joints, motors=args.motors, others=others))
+
+
+def info(args) -> int:
+    """Print the summary of a bag; return 0, or 1 for a damaged bag."""
+    from gms_flex_control.data.bag import summarise
+    summary = summarise(args.bag)
+    return end(args, asdict(summary), summary.text(), code=int(bool(summary.damage)))
+
+
+def record(args) -> int:
+    """Record topics and print the counts; return 0, or 1 if nothing was received."""
+    recorder = import_ros('gms_flex_control.nodes.recorder')
+    counts = recorder.record(args.out, None if args.all else args.topics, duration=args.duration,
+                             say=(lambda _: None) if args.json else _say)
+    total = sum(counts.values())
+    if args.json:
+        print(as_json({'bag': str(args.out), 'messages': counts}))
+    else:
+        for name, count in counts.items():
+            _say(f'  {name}  {count}')
+        _say(f'{args.out}: {total} messages')
+    if not total:
+        print('gms_flex record: nothing was received; are the publishers running, in this '
+              'ROS_DOMAIN_ID, under these names? (ros2 topic list)', file=sys.stderr)
+    return 0 if total else 1
+
+
+def _say(text):
+    print(text, flush=True)
