@@ -49,11 +49,7 @@ def _kernel_hash(further):
 
 
 def cache_folder(*further: Path) -> str | None:
-    """
-    Return where compiled functions of these very sources are kept; None where none is writable.
-
-    ``further`` are folders of kernels beside those of the package, which may call these.
-    """
+    """Return where kernels of these sources and of ``further`` folders are cached, or None."""
     name = f'kernels-{_kernel_hash(further)}'
     home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
     user_id = os.getuid() if hasattr(os, 'getuid') else 'user'
@@ -104,12 +100,7 @@ def compiled(function, folder=_CACHE_FOLDER, **options) -> Callable:
 
 
 def compiled_part(function) -> Callable:
-    """
-    Compile what other kernels alone call.
-
-    It lacks the wrappers through which Python and C would call it: numba compiles two for each
-    function.
-    """
+    """Compile what other kernels alone call, without the two wrappers for Python and C."""
     return compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 

@@ -307,11 +307,7 @@ class YamlMap:
 
 
 def read_map(path, error: type) -> YamlMap:
-    """
-    Return the YamlMap of a file whose top level is a mapping; of an empty file without keys.
-
-    An ``error`` if it cannot be read, is no YAML or no mapping.
-    """
+    """Return the YamlMap of a file, empty or a mapping; ``error`` if neither, or unreadable."""
     data = checked_yaml(path, error)
     data = CommentedMap() if data is None else data
     if not hasattr(data, 'lc') or not hasattr(data, 'keys'):

@@ -47,11 +47,7 @@ def stribeck_level(dq, params) -> np.ndarray:
 
 
 def steady_friction(dq, params) -> np.ndarray:
-    """
-    Return the friction torque at constant velocities (..., n_joints) [N m].
-
-    ``sgn(dq) s(dq) + viscous dq``, Eq. (6), with FrictionParams; zero at rest.
-    """
+    """Return ``sgn(dq) s(dq) + viscous dq`` of velocities (..., n_joints), Eq. (6) [N m]."""
     viscous = _of_direction(dq, params, 'viscous')
     return np.sign(dq) * stribeck_level(dq, params) + viscous * np.asarray(dq)  # Eq. (6)
 

@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 
+from bench.chain_matrices import matrices
 from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
@@ -47,7 +48,7 @@ def single_axis(friction, inertia, *, stiffness=np.inf, motor_inertia=0.0, **opt
 def energy(q_link, dq_link, q_motor, dq_motor, arm):
     """Return the mechanical energy of links, motors, springs and gravity [J]."""
     still, flexible = np.zeros(arm.n_joints), ~arm.rigid
-    moving = 0.5 * dq_link @ chain.matrices(q_link, still, still, still, arm).mass @ dq_link
+    moving = 0.5 * dq_link @ matrices(q_link, still, still, still, arm).mass @ dq_link
     moving += 0.5 * np.sum(arm.motor_inertia[flexible] * np.asarray(dq_motor)[flexible] ** 2)
     spring = 0.5 * arm.stiffness[flexible] * np.subtract(q_motor, q_link)[flexible] ** 2
     return float(moving + np.sum(spring) - arm.mass @ (_centres(q_link, arm) @ arm.gravity))

@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 
+from bench.chain_matrices import matrices
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.params.arm import ArmParams
@@ -79,7 +80,7 @@ def lagrange(q, dq, ddq, arm):
 @pytest.mark.parametrize('seed', range(3))
 def test_the_closed_form_gives_lagranges_equations_and_the_kernel_solves_them(n, seed):
     arm, (q, dq, ddq, d3q) = random_arm(n, seed), motion(n, seed)(0.3)
-    m = chain.matrices(q, dq, ddq, d3q, arm)
+    m = matrices(q, dq, ddq, d3q, arm)
     torque = m.mass @ ddq + m.coriolis @ dq + m.gravity
     np.testing.assert_allclose(torque, lagrange(q, dq, ddq, arm), rtol=1e-7, atol=1e-7)
     work = records.build(chain.work_layout(n), tau=torque)
@@ -93,7 +94,7 @@ def test_first_and_second_derivatives_are_those_of_finite_differences(n, name):
     arm, at = random_arm(n), motion(n)
 
     def value(t, prefix=''):
-        return getattr(chain.matrices(*at(t), arm), prefix + name)
+        return getattr(matrices(*at(t), arm), prefix + name)
     for t in (0.1, 1.3, 2.9):
         for lower, upper in (('', 'd'), ('d', 'dd')):
             difference = (value(t + 1e-5, lower) - value(t - 1e-5, lower)) / 2e-5
@@ -103,7 +104,7 @@ def test_first_and_second_derivatives_are_those_of_finite_differences(n, name):
 
 @pytest.mark.parametrize('n', [2, 3])
 def test_mass_rate_less_twice_coriolis_is_skew(n):
-    m = chain.matrices(*motion(n, 7)(0.5), random_arm(n))
+    m = matrices(*motion(n, 7)(0.5), random_arm(n))
     skew = m.dmass - 2.0 * m.coriolis
     np.testing.assert_allclose(skew, -skew.T, atol=1e-13)
     np.testing.assert_allclose(m.mass, m.mass.T, atol=1e-15)
@@ -117,7 +118,7 @@ def test_the_controllers_inverse_dynamics_and_its_derivatives_agree_with_the_mat
 
     def torque(t):
         q, dq, ddq, d3q = real(t)
-        m = chain.matrices(q, dq, ddq, d3q, arm)
+        m = matrices(q, dq, ddq, d3q, arm)
         return m.mass @ ref(t)[1] + m.coriolis @ ref(t)[0] + m.gravity
     t, step = 0.6, 1e-4
     links, (q, dq, ddq, d3q) = chain.constants_of(arm), real(t)
@@ -140,7 +141,7 @@ def test_inverse_dynamics_is_the_left_side_of_the_link_equation(n, kind):
     torque = chain.inverse_dynamics(*path[:3], arm)
     assert torque.shape == (17, n)
     for k in range(17):
-        m = chain.matrices(*path[:, k], arm)
+        m = matrices(*path[:, k], arm)
         expected = m.mass @ path[2, k] + m.coriolis @ path[1, k] + m.gravity
         np.testing.assert_allclose(torque[k], expected, rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(chain.inverse_dynamics(*path[:3, k], arm), expected,
@@ -151,7 +152,7 @@ def test_decoupled_axes_do_not_feel_each_other():
     """Each has its inertia and gravity of its own, whatever the others do."""
     arm = random_arm(3, kind='decoupled')
     q, dq, ddq, d3q = motion(3)(0.2)
-    m = chain.matrices(q, dq, ddq, d3q, arm)
+    m = matrices(q, dq, ddq, d3q, arm)
     own = arm.inertia + arm.mass * arm.com ** 2 + np.where(arm.rigid, arm.motor_inertia, 0.0)
     np.testing.assert_allclose(m.mass, np.diag(own), atol=1e-15)
     np.testing.assert_array_equal(m.coriolis, np.zeros((3, 3)))
@@ -159,5 +160,5 @@ def test_decoupled_axes_do_not_feel_each_other():
         names = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping',
                  'offset')
         alone = replace(arm, kind='planar', **{name: getattr(arm, name)[[j]] for name in names})
-        assert chain.matrices(*(x[[j]] for x in (q, dq, ddq, d3q)), alone).gravity == (
+        assert matrices(*(x[[j]] for x in (q, dq, ddq, d3q)), alone).gravity == (
             pytest.approx(m.gravity[[j]], rel=1e-14))

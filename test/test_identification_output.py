@@ -20,7 +20,7 @@ from gms_flex_control.identification.output import (
     write_friction,
     write_report_json,
 )
-from gms_flex_control.params.robot import KINDS
+from gms_flex_control.params.robot import UNCERTAIN
 from gms_flex_control.schema.files import load_controller, load_robot, read_parameters
 from identified import ERRORS, identification
 import numpy as np
@@ -85,7 +85,7 @@ def test_friction_that_the_data_leave_open_is_known_worse_than_usual():
         one._replace(flags=(NOT_IDENTIFIABLE,)) if one.name.endswith('viscous') else one
         for one in made.joints[0].estimates))
     values = uncertainty_values(opened)
-    assert values['uncertainty.joint1.viscous'] == pytest.approx(4.0 * KINDS['viscous'].sd)
+    assert values['uncertainty.joint1.viscous'] == pytest.approx(4.0 * UNCERTAIN['viscous'].sd)
     assert values | {'uncertainty.joint1.viscous': 0.0} == uncertainty_values(made) | {
         'uncertainty.joint1.viscous': 0.0}
 
@@ -108,10 +108,10 @@ def test_an_arm_is_known_as_its_intervals_say_and_what_is_open_worse_than_usual(
     made = replace(made, believed=replace(made.believed, arm=replace(
         arm, motor_inertia=1.5 * arm.motor_inertia)))
     values = uncertainty_values(made)
-    found = {kind: values.get(f'uncertainty.joint1.{kind}') for kind in KINDS}
+    found = {kind: values.get(f'uncertainty.joint1.{kind}') for kind in UNCERTAIN}
     assert found['stiffness'] == pytest.approx(0.03) and found['gravity'] == pytest.approx(0.1)
-    assert found['damping'] == pytest.approx(0.5 * KINDS['damping'].sd)
-    assert found['motor_inertia'] == pytest.approx(4.0 * KINDS['motor_inertia'].sd)
+    assert found['damping'] == pytest.approx(0.5 * UNCERTAIN['damping'].sd)
+    assert found['motor_inertia'] == pytest.approx(4.0 * UNCERTAIN['motor_inertia'].sd)
     assert found['inertia'] is None
     spread = np.array([[0.01, 0.3], [0.2, np.inf], [np.inf, np.inf]])
     values = uncertainty_values(replace(made, spread=spread))
@@ -128,7 +128,7 @@ def test_a_link_of_no_inertia_beside_its_motor_is_open():
         *made.joints[0].estimates,
         estimated('arm.joint1.inertia', 'kg m^2', 0.5 * arm.motor_inertia[0], 1e-4)))
     assert uncertainty_values(made)['uncertainty.joint1.inertia'] == pytest.approx(
-        4.0 * KINDS['inertia'].sd)
+        4.0 * UNCERTAIN['inertia'].sd)
 
 
 def test_bags_of_one_name_get_files_of_their_own(tmp_path):

@@ -5,11 +5,11 @@ import csv
 from dataclasses import replace
 import xml.etree.ElementTree as ElementTree
 
+from bench.chain_matrices import matrices
 from bench.hidden_robots.sizes import spec
 from bench.speed import mujoco_export
 from core_runs import single_axis
 from gms_flex_control.cli.main import main
-from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.friction import steady_friction

@@ -4,8 +4,8 @@
 from dataclasses import replace
 import xml.etree.ElementTree as ElementTree
 
+from bench.chain_matrices import matrices
 from gms_flex_control.cli.main import main
-from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.schema.urdf import robot_urdf

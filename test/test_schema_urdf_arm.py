@@ -6,6 +6,7 @@ from pathlib import Path
 import warnings
 import xml.etree.ElementTree as ElementTree
 
+from bench.chain_matrices import matrices
 import core_runs
 from gms_flex_control import load_robot, read_plan, records, save_robot
 from gms_flex_control.cli.main import main
@@ -118,8 +119,8 @@ def test_a_planar_chain_written_as_urdf_has_the_terms_of_the_closed_form(tmp_pat
                      inertia=links.inertia, length=np.zeros(n), offset=np.zeros(n),
                      gravity=[1.5, -9.0, 0.0])
     q, dq, ddq, d3q = rng.uniform(-2.0, 2.0, (4, n))
-    for one, other in zip(chain.matrices(q, dq, ddq, d3q, planar),
-                          chain.matrices(q, dq, ddq, d3q, lifted), strict=True):
+    for one, other in zip(matrices(q, dq, ddq, d3q, planar),
+                          matrices(q, dq, ddq, d3q, lifted), strict=True):
         np.testing.assert_allclose(other, one, rtol=0, atol=1e-12 * max(1.0, np.abs(one).max()))
     work, m = [records.build(chain.work_layout(n), tau=ddq) for _ in range(2)], []
     for arm, space in zip((planar, lifted), work, strict=True):
@@ -138,7 +139,7 @@ def test_derivatives_are_those_of_finite_differences(crooked_arm):
     def at(t):
         return [2.0 ** k * np.sin(2.0 * t + np.arange(6) + 0.5 * np.pi * k) for k in range(4)]
     t, step = 0.4, 1e-5
-    before, now, after = (chain.matrices(*at(t + k * step), crooked_arm) for k in (-1, 0, 1))
+    before, now, after = (matrices(*at(t + k * step), crooked_arm) for k in (-1, 0, 1))
     for name in ('mass', 'coriolis', 'gravity'):
         for lower, upper in (('', 'd'), ('d', 'dd')):
             reported = getattr(now, upper + name)
@@ -300,7 +301,7 @@ def test_poses_lie_within_the_ranges_and_show_the_inertias():
     masses = chain.mass_matrices(q, arm)
     still = np.zeros(6)
     for k in (0, 7, 123):
-        np.testing.assert_allclose(masses[k], chain.matrices(q[k], still, still, still, arm).mass,
+        np.testing.assert_allclose(masses[k], matrices(q[k], still, still, still, arm).mass,
                                    rtol=1e-11, atol=1e-12)
     own, motors = chain.own_inertia(chain.constants_of(arm))
     np.testing.assert_allclose(own + motors, np.diag(masses[0]), rtol=1e-12)

@@ -4,10 +4,10 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+from bench.chain_matrices import matrices
 from bench.hidden_robots.kernels import loop, mechanics, outside, pid
 from gms_flex_control import records
 from gms_flex_control.control import cascade
-from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.simulation import encoder
@@ -77,7 +77,7 @@ def at_rest(robot, q=None):
     """
     still = np.zeros(robot.n_joints)
     q = still if q is None else q
-    weight = chain.matrices(q, still, still, still, robot.arm).gravity
+    weight = matrices(q, still, still, still, robot.arm).gravity
     return records.build(loop.state_layout(*robot.friction.stiffness.shape), q=q,
                          q_motor=q + weight / robot.arm.stiffness, sticking=1, direction=1.0)
 
@@ -108,7 +108,7 @@ def under_pid(robot, model, gains, reference, period, scene, angles, torques):
     """
     asked = reference.copy()
     for row, (q, v, a) in zip(asked, reference[:, :3], strict=True):
-        link = chain.matrices(q, v, v, a, model.arm)
+        link = matrices(q, v, v, a, model.arm)
         row[0] += (link.mass @ a + link.coriolis @ v + link.gravity) / model.arm.stiffness
     loop.run_pid(asked, period, round(period / STEP), *scene, pid.init(gains), angles, torques)
 

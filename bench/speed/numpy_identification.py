@@ -9,7 +9,7 @@ which is tested, with one loop over samples in Python and arrays over the blocks
 from time import perf_counter
 from typing import NamedTuple
 
-from gms_flex_control.dynamics.chain import matrices
+from bench.chain_matrices import matrices
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
 from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.simulation.predictor import ATTRACTION, BLOCKS

@@ -8,7 +8,7 @@ encoders, no effects, compensation ``none`` or ``gms_paper``, all joints flexibl
 
 from typing import NamedTuple
 
-from gms_flex_control.dynamics.chain import matrices
+from bench.chain_matrices import matrices
 from gms_flex_control.friction import stribeck_level
 import numpy as np
 

@@ -6,10 +6,10 @@ import json
 from types import SimpleNamespace
 
 from bench.__main__ import main
+from bench.chain_matrices import matrices
 from bench.hidden_robots import cases, plants, sizes, truth
 from core_runs import push_plant
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.base import Term
 from gms_flex_control.errors import ConfigError
@@ -95,7 +95,7 @@ def base_parameters(arm):
     """Return the three constants of M of two links, from M itself at two poses."""
     def mass(q2):
         zero = np.zeros(2)
-        return chain.matrices(np.array([0.0, q2]), zero, zero, zero, arm).mass
+        return matrices(np.array([0.0, q2]), zero, zero, zero, arm).mass
     straight, square = mass(0.0), mass(np.pi / 2)
     coupled = straight[0, 1] - square[0, 1]
     return np.array([square[0, 0] - square[1, 1], coupled, square[1, 1]])

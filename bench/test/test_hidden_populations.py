@@ -5,11 +5,11 @@ from dataclasses import replace
 from functools import cache
 
 from bench.__main__ import main
+from bench.chain_matrices import matrices
 from bench.hidden_robots import motions, mujoco_plant, plants, sizes, truth
 from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.populations import belief_errors, POPULATIONS
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.dynamics import chain
 import numpy as np
 import pytest
 
@@ -64,7 +64,7 @@ def test_what_is_believed_is_far_off_and_physical(name, low, high):
         signs += np.sign(belief_errors(robot, belief)['stiffness']).tolist()
         for q in np.linspace(-np.pi, np.pi, 9):
             zero = np.zeros(2)
-            mass = chain.matrices(np.array([0.0, q]), zero, zero, zero, belief.arm).mass
+            mass = matrices(np.array([0.0, q]), zero, zero, zero, belief.arm).mass
             assert np.linalg.eigvalsh(mass).min() > 0.0
         for side in (belief.friction.forward, belief.friction.backward):
             assert np.all(side.static >= side.coulomb) and np.all(side.viscous > 0.0)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import json
 
 from bench.__main__ import main
+from bench.chain_matrices import matrices
 from bench.speed import fit, mujoco_arm, numpy_identification, numpy_loop, ros_loop
-from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.schema.files import load_controller, load_robot

@@ -113,11 +113,7 @@ def main(argv: list | None = None, prog: str = 'gms_flex', build=build_parser) -
 
 @contextmanager
 def _plain_warnings(command):
-    """
-    Print warnings of this package as a sentence, and none of numpy and scipy.
-
-    Worker processes inherit it. ``-W`` and ``PYTHONWARNINGS`` show all as Python does.
-    """
+    """Print this package's warnings as sentences, none of numpy and scipy; ``-W`` shows all."""
     if sys.warnoptions:
         yield
         return

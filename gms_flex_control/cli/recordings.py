@@ -81,12 +81,7 @@ def analyse(args) -> int:
 
 
 def bag_label(path) -> tuple[str, str]:
-    """
-    Return trajectory and compensation of a bag.
-
-    From ``trajectory`` and ``compensation`` in the metadata's custom data, else from the
-    folder's name.
-    """
+    """Return trajectory and compensation of a bag, by its metadata or else its folder's name."""
     path, custom = Path(path), {}
     if (path / 'metadata.yaml').is_file():
         custom = metadata.load(path / 'metadata.yaml').custom

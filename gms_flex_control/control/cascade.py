@@ -240,12 +240,7 @@ def tick_boxed(state, measured, reference, dt, constants, work, feeding, fed) ->
 
 
 class SteppedController:
-    """
-    The cascade controller, tick by tick, with gains that may change in between.
-
-    ``gains`` are ControllerParams of the start, ``model`` the RobotParams as believed; effects
-    that no controller can compensate are left aside.
-    """
+    """The cascade controller tick by tick, whose gains may change; ``model`` is as believed."""
 
     def __init__(self, gains, model):
         self._model = feedforward.as_parameters(model)

@@ -112,11 +112,7 @@ def _sense(control, measured, reference, constants, state):
 
 @compiled
 def feed(control, measured, reference, dt, constants, state) -> None:
-    """
-    Add what the effects require to the answer of the cascade law; arguments as of its ``tick``.
-
-    Changes ``command``, ``friction_hat`` and ``saturated`` of the controller's state.
-    """
+    """Add what the effects require to the cascade law's answer; arguments as of its ``tick``."""
     if constants.effects.stage_start[-1] == 0:
         return
     s, further, filtered = state.signals, state.further, state.filtered

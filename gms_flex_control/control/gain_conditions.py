@@ -169,12 +169,7 @@ def disturbance_bound(gains, robot) -> float:
 
 @lru_cache(maxsize=16)
 def mass_matrices(arm) -> np.ndarray:
-    """
-    Return M(q) (m, n_joints, n_joints) over the configurations of ArmParams [kg m^2].
-
-    On a grid of the relative angles, which holds the stretched and the folded arm, or spread over
-    the ranges of a chain in space.
-    """
+    """Return M(q) (m, n, n) [kg m^2] on a grid of relative angles, or spread over joint ranges."""
     n = arm.n_joints
     if arm.kind == 'urdf':
         return chain.mass_matrices(chain.configurations(arm, _CONFIGURATIONS), arm)

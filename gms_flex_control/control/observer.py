@@ -51,11 +51,7 @@ def bounded(correction, limit) -> float:
 @compiled_part
 def advance_blocks(torque, sticking, turned, sign, smooth, displacement, level, correction,
                    attraction, dt, stiffness, weight) -> None:
-    """
-    Advance the observed blocks (N,) of one joint in place, Eqs. (19) and (20).
-
-    ``sign`` decides break-away, ``smooth`` (the sign or its tanh) where slipping blocks go.
-    """
+    """Advance the blocks (N,) of a joint, Eqs. (19), (20): ``sign`` breaks, ``smooth`` drives."""
     decay = np.exp(-attraction * dt / level)
     for i in range(torque.shape[0]):
         pushed = bounded(correction, LARGEST_CORRECTION * weight[i] * attraction) / attraction

@@ -95,12 +95,7 @@ class BagWarning(UserWarning):
 
 
 class Bag:
-    """
-    A bag opened for reading; what it found is complete once `batches` has ended.
-
-    ``path`` is a bag folder, with or without metadata.yaml, or one storage file; BagError if
-    there is no bag.
-    """
+    """A bag folder or one file of it, opened; complete once `batches` ended; BagError if none."""
 
     def __init__(self, path):
         self.path = Path(path)
@@ -141,12 +136,7 @@ class Bag:
         return [path for path in files if path.is_file()]
 
     def batches(self, only=None) -> Iterator:
-        """
-        Yield the messages file by file in the order of writing, as `StorageFile.batches` does.
-
-        Of the topics ``only`` (collection of str), by default of all; BagError if a file is empty,
-        is no bag or cannot be read at all.
-        """
+        """Yield messages file by file as `StorageFile.batches`, of topics ``only``; BagError."""
         found, whole = 0, True
         for path in self._files:
             with ExitStack() as stack:
@@ -207,11 +197,7 @@ def _decompressed(data, path):
 
 
 def namespace_of(bag) -> str:
-    """
-    Return the namespace of the one closed loop in a bag, such as '/left'.
-
-    It is '' where the topics have none, or where the metadata leave it open.
-    """
+    """Return the namespace of the one closed loop in a bag, such as '/left'; '' if left open."""
     plain = Topics()
     names = bag.metadata.topics if bag.metadata else ()
     if plain.joint_states in names:

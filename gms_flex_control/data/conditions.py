@@ -59,11 +59,7 @@ def conditions_of(bag) -> Conditions:
 
 
 def repeat_conditions(bag, new, keys: Sequence[str] = KEYS, load: Body | None = None) -> None:
-    """
-    State in the folder of a new bag what is known of another, or some ``keys`` of it.
-
-    A ``load`` is carried beside that of the other.
-    """
+    """State in a new bag's folder what is known of another (``keys``), a ``load`` added."""
     values = {key: value for key, value in _stated(bag).items() if key in keys}
     if load is not None:
         values['load'] = _entry(together(conditions_of(bag).operation.load, load))

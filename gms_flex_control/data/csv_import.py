@@ -67,11 +67,7 @@ class CsvTable:
             return np.nan
 
     def column(self, name, asked_by) -> np.ndarray:
-        """
-        Return the numbers (T,) under a name, or a number from 1; NaN where a cell is empty.
-
-        ImportDataError, naming ``asked_by``, if there is no such column or a cell is no number.
-        """
+        """Return numbers (T,) by name, or number from 1; ImportDataError names ``asked_by``."""
         index = self._index(name, asked_by)
         texts = [row for row, column in self._texts if column == index]
         if texts:

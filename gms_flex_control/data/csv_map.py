@@ -122,11 +122,7 @@ class ImportMap:
 
 
 def load_map(path) -> ImportMap:
-    """
-    Return the ImportMap of a YAML file, see ``config/import_kr300.yaml``.
-
-    ImportDataError if it cannot be read, or a key, type, unit or combination is wrong.
-    """
+    """Return the ImportMap of a YAML file (config/import_kr300.yaml); ImportDataError if wrong."""
     top = read_map(path, ImportDataError)
     if not top.keys():
         raise top.wrong('must be a mapping with time and joints')

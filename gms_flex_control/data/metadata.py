@@ -32,11 +32,7 @@ def _typestore():
 
 @lru_cache(maxsize=256)
 def definition(type_name) -> Definition:
-    """
-    Return the Definition of a message type such as ``sensor_msgs/msg/JointState``.
-
-    BagError if it is none of the standard types of Jazzy.
-    """
+    """Return the Definition of a standard message type of Jazzy; BagError if it is none."""
     store = _typestore()
     try:
         text, _ = store.generate_msgdef(type_name, ros_version=2)

@@ -51,11 +51,7 @@ def read_experiment_of(path, robot, guess_motors: bool = False) -> tuple:
 
 
 def motors_in(path, robot) -> tuple[str, ...]:
-    """
-    Return the motor names of the robot that the bag has, '' for the others.
-
-    A rigid joint needs none, but a bag may still give its torque as that of a motor.
-    """
+    """Return the robot's motor names in the bag, '' for others; a rigid joint may have one."""
     names = joint_names(path)
     wanted = (motor or joint + MOTOR_SUFFIX
               for joint, motor in zip(robot.joints, robot.motors, strict=True))

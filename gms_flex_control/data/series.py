@@ -22,11 +22,7 @@ _TYPES = (cdr.JOINT_STATE, cdr.MULTI_ARRAY, cdr.MULTI_ARRAY, cdr.JOINT_STATE, cd
 
 
 def names_of(bag, message, topics) -> tuple:
-    """
-    Return the names in a joint state (bytes) of a bag.
-
-    BagError if the message is None, which means absent, or broken.
-    """
+    """Return the names in a joint state (bytes) of a bag; BagError if it is None or broken."""
     if message is None:
         known = ', '.join(sorted(bag.topics)) or 'none'
         what = 'no message on' if topics.joint_states in bag.topics else 'no topic'
@@ -319,12 +315,7 @@ def _one_voltage(_dims, count):
 
 
 def _reference_shape(dims, count, n):
-    """
-    Return the shape (rows, n) of a reference, None if it gives torques instead of angles.
-
-    Without ``dims`` (label, size, stride) ``count`` gives the rows. BagError, its sentence without
-    a subject, if the layout or the length does not fit.
-    """
+    """Return the shape (rows, n) of a reference, None of torques; BagError where none fits."""
     shape = [(label, size) for label, size, _ in dims
              if not label.startswith((cdr.STAMP_LABEL, cdr.SOURCE_LABEL))]
     if shape and shape[0][0] == 'effort':

@@ -50,12 +50,7 @@ def runs(where: np.ndarray) -> np.ndarray:
 
 
 def derivative_window(time, position) -> float:
-    """
-    Return the length of a filter window that sees motion through the encoder's steps.
-
-    Of stamps [s] and angles [rad], both (T,): from 0.1 to 1 s, longer for slow motion and coarse
-    encoders.
-    """
+    """Return the length of a filter window, 0.1 to 1 s, that sees motion through encoder steps."""
     known = np.isfinite(position)
     t, q = time[known], position[known]
     blocks = np.flatnonzero(np.diff(np.floor(t / _BLOCK), prepend=-1.0)) if len(t) else t
@@ -101,12 +96,7 @@ def smoothed(time, signals, window) -> list[Derivatives]:
 
 
 def sign_fit(signal, positive, free) -> Fit:
-    """
-    Fit columns whose weights cannot be negative to a signal (S,), and to its reverse.
-
-    Of ``positive`` columns the weights are 0 or above; the part of ``free`` ones, of any weight,
-    is taken off before shares are counted.
-    """
+    """Fit columns to a signal (S,) and to its reverse: ``positive`` ones, beside ``free`` ones."""
     basis = np.linalg.qr(np.stack(free, axis=1))[0]
     both = np.stack([signal, *positive], axis=1)
     whole = np.sum((signal - signal.mean()) ** 2)
@@ -231,11 +221,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def means_held(values: np.ndarray, ends: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """
-    Return the means (T, ...) between times ``edges`` (T + 1,) of values held before.
-
-    Each of ``values`` (K, ...) is held from one of ``ends`` (K + 1,) to the next [s].
-    """
+    """Return means (T, ...) between ``edges`` (T + 1,) of ``values`` held from ``ends`` on [s]."""
     held = (np.asarray(values).T * np.diff(ends)).T
     impulse = np.concatenate([np.zeros((1, *held.shape[1:])), np.cumsum(held, axis=0)])
     impulse = np.apply_along_axis(lambda one: np.interp(edges, ends, one), 0, impulse)

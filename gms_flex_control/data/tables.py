@@ -10,12 +10,7 @@ _LAYOUTS = 4  # of one length that are read at once in one block; the rest one b
 
 
 class Table:
-    """
-    Columns that grow by blocks of messages.
-
-    The first message that cannot be read ends the growth; its error is raised when a column
-    is asked for.
-    """
+    """Columns that grow by blocks of messages; the first unreadable one ends it, and its error."""
 
     def __init__(self):
         self._count = self._rows = 0  # messages seen, rows kept of them

@@ -85,11 +85,7 @@ class BagWriter:
             raise self._failure(error) from error
 
     def add_topic(self, name, type_name, *, qos=None, save=True) -> None:
-        """
-        Announce a topic and its type; one that is there already stays as it is.
-
-        ``qos`` is that of `metadata.qos_profile`; ``save`` writes metadata.yaml anew.
-        """
+        """Announce a topic, if new, with a `metadata.qos_profile`; ``save`` writes metadata."""
         if name in self._channels:
             return
         if not name.startswith('/'):

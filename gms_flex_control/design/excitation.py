@@ -98,11 +98,7 @@ class Excitation:
 
 
 def condition_number(angle, rate, acceleration, robot: RobotParams, lead=None) -> tuple:
-    """
-    Return the condition number of the base regressor along a motion (S, n), and column sizes.
-
-    ``lead`` are the base parameters, of `base_of` unless given.
-    """
+    """Return condition number and column sizes of the base regressor along a motion (S, n)."""
     lead = base_of(robot.arm)[0] if lead is None else lead
     columns = link_regressors(angle, rate, acceleration, robot.arm)[:, :, lead]
     level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
@@ -299,11 +295,7 @@ class Capsules:
 
 
 def segment_distance(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """
-    Return the distances (...) between lines from ``a`` to ``b`` and ``c`` to ``d`` (..., 3) [m].
-
-    The nearest points of both, each in turn held to its line (Ericson 2005, section 5.1.9).
-    """
+    """Return distances (...) between lines a-b and c-d (..., 3) [m] (Ericson 2005, 5.1.9)."""
     u, v, w = b - a, d - c, a - c
     uu, vv, uv = (np.maximum(np.sum(x * y, axis=-1), floor) for x, y, floor in (
         (u, u, 1e-18), (v, v, 1e-18), (u, v, -np.inf)))

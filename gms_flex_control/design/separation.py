@@ -141,12 +141,7 @@ def resolving(beliefs: Beliefs, odds: np.ndarray, wanted: float) -> np.ndarray:
 
 def beliefs_of(recordings: Sequence[Recording], robot: RobotParams,
                sets: Sequence[Collection]) -> Beliefs:
-    """
-    Fit each hypothesis, a collection of (effect, joint), to the recordings so far.
-
-    ``robot`` is what was believed before them. ConfigError if the recordings do not allow one of
-    the effects.
-    """
+    """Fit each hypothesis, a set of (effect, joint), to recordings; ConfigError if impossible."""
     likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot, cautious=True)
     model, _ = retuned(likelihood, robot, np.zeros(len(likelihood.nuisances)))
     likelihood = likelihood.with_noise(white_noise(likelihood, model))
@@ -257,12 +252,7 @@ class Recorded(NamedTuple):
 
 def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period: float
             ) -> Loop:
-    """
-    Return the Loop with each hypothesis as the robot, as fitted and at two standard deviations.
-
-    A robot that would have crossed a limit along a recorded reference is refuted by the recording
-    and need keep none. The load is that of the last recording.
-    """
+    """Return the Loop, with hypotheses as fitted and two deviations off that recordings allow."""
     rng, so_far, believed = np.random.default_rng(0), beliefs.likelihood, beliefs.robot
     fitted = tuple(one.robot(so_far) for one in beliefs.hypotheses)
     drawn = [one.robot(so_far, rng) for one in beliefs.hypotheses for _ in range(DRAWS)]
@@ -283,12 +273,7 @@ def recorded_motion(recording: Recording) -> Recorded:
 
 def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loop, seed: int = 0
               ) -> Prediction | None:
-    """
-    Return how far a motion of ``duration`` [s] is expected to separate every pair of hypotheses.
-
-    ``loop`` is from `loop_of`, ``seed`` of null simulations. None if a limit would be crossed, or
-    nothing can be foreseen.
-    """
+    """Return how far a motion of ``duration`` [s] is expected to separate each pair, or None."""
     so_far, count = beliefs.likelihood, len(beliefs.hypotheses)
     if not (stops_within(candidate, beliefs.robot.joints, duration, loop.limits)
             and all(loop.keeps(one, beliefs.robot, candidate, duration) for one in loop.kept)):
@@ -317,11 +302,7 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
 
 def stops_within(candidate: Candidate, joints: Sequence[str], duration: float, limits: Limits
                  ) -> bool:
-    """
-    Return whether ``~/stop`` of trajectory_node after a duration [s] keeps range and velocity.
-
-    It may come later by the time of the way to the beginning, which is left out at zero.
-    """
+    """Return whether ``~/stop`` after a duration [s] keeps range and velocity, its delay aside."""
     states = candidate.trajectory(joints).sample(np.arange(duration, duration + APPROACH, _PHASES))
     stops = np.stack([builders.braked(state, 0.0, duration=APPROACH).sample(
         np.arange(0.0, APPROACH, _PHASES))[:, :2] for state in states])

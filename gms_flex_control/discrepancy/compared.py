@@ -132,11 +132,7 @@ def segment_of(recording) -> Segment:
     """
     Return the Segment of a Recording of a robot under the cascade controller.
 
-    Raises
-    ------
-    BagError
-        If it has no reference, or no link angles with it, for `LEAST_TIME` on end.
-
+    BagError if it has no reference, or no link angles with it, for `LEAST_TIME` on end.
     """
     seen = np.isfinite(recording.q_link).all(axis=1)
     if not seen.any():
@@ -174,11 +170,7 @@ def _resampled(grid, time, values):
 
 
 def simulated(robot, believed, gains, segment, seed=_SEED) -> np.ndarray:
-    """
-    Return the link angles (T, n) that the closed loop of a robot would have measured [rad].
-
-    The controller of the Segment believed another robot; ``seed`` draws the encoder noise.
-    """
+    """Return the link angles (T, n) [rad] of the closed loop whose controller had ``believed``."""
     loop = Loop(robot, believed, period_ns=segment.period_ns, seed=seed,
                 q_link=segment.measured[0], begin=segment.begin)
     q_motor = np.where(np.isfinite(segment.q_motor), segment.q_motor, segment.measured[0])
@@ -189,12 +181,7 @@ def simulated(robot, believed, gains, segment, seed=_SEED) -> np.ndarray:
 
 
 def closed_loop_of(behind, recordings, gains) -> ClosedLoop:
-    """
-    Return the ClosedLoop of recordings with references, with the models before and after.
-
-    The robot that the search ``behind`` began with is what their controller, of ``gains``,
-    believed in.
-    """
+    """Return the ClosedLoop of recordings whose controller believed what the search began with."""
     given, nuisances = behind.likelihood.robot, behind.likelihood.nuisances
     segments = [segment_of(recording.of_joints(given.joints)) for recording in recordings]
     retuned, after = (with_nuisances(one.robot, nuisances, one.x)
@@ -224,13 +211,7 @@ def with_closed_loop(result, recordings, gains) -> Discrepancy:
     Return a Discrepancy of which gap and words have the closed loop, too; bad data as they are.
 
     ``recordings`` are those held out, or else those that were fitted; their controller, of
-    ``gains``, believed the robot the workflow was given.
-
-    Raises
-    ------
-    BagError
-        If a recording has no reference.
-
+    ``gains``, believed the robot the workflow was given. BagError if one has no reference.
     """
     if result.gap is None:
         return result

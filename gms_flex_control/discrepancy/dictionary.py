@@ -52,24 +52,10 @@ def _fine_orders(likelihood, model):
 
 def guesses_of(likelihood, excluded=(), fine=None, only=None) -> list:
     """
-    Return what is looked for.
+    Return what is looked for, list of (effect, joint or the whole arm, Guess).
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        The recordings and the robot.
-    excluded : collection of str
-        Effects that are left out.
-    fine : sequence of tuple of float, optional
-        Orders of waves finer than those guessed that are looked for as well, per joint.
-    only : collection of (str, str), optional
-        Effects of joints that are looked for; default all.
-
-    Returns
-    -------
-    list of (str, str, Guess)
-        Effect, joint and Guess; effects of the whole arm where links carry each other.
-
+    Without effects ``excluded`` (str), of ``only`` (effect, joint) if given; ``fine`` are orders
+    of waves, per joint, finer than those guessed.
     """
     robot, found = likelihood.robot, []
     commanded = all(motion.samples.commanded for motion in likelihood.motions)
@@ -122,19 +108,9 @@ def may_join(spec, robot, known) -> bool:
 
 class Dictionary:
     """
-    The whitened residuals of all guesses.
+    The whitened residuals of all guesses along the recordings of a Likelihood.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    model : Fitted
-        Where the columns are taken.
-    excluded : collection of str
-        Effects that are left out.
-    only : collection of (str, str), optional
-        Effects of joints that are looked for; default all.
-
+    Columns are taken at ``model``, a Fitted; ``excluded`` and ``only`` as of `guesses_of`.
     """
 
     def __init__(self, likelihood, model, excluded=(), only=None):
@@ -223,22 +199,11 @@ class Dictionary:
 
     def ranked(self, model, columns, plausible=np.inf) -> list:
         """
-        Return the hypotheses with the largest gains, each effect of a joint once.
+        Return the hypotheses with the largest gains, list of Ranked, each effect of a joint once.
 
-        Parameters
-        ----------
-        model : Fitted
-            What is there already.
-        columns : ndarray, shape (C, R)
-            Derivatives by its nuisance parameters and by the numbers of its effects.
-        plausible : float
-            Standard deviations of their priors that nuisance parameters may go.
-
-        Returns
-        -------
-        list of Ranked
-            Best first.
-
+        Beside ``model``, a Fitted, and ``columns`` (C, R), derivatives by its nuisance parameters
+        and the numbers of its effects; nuisances go ``plausible`` standard deviations of their
+        priors.
         """
         likelihood, best, tried = self._likelihood, {}, set()
         normal = NormalEquations(likelihood, model, columns, plausible)

@@ -54,23 +54,10 @@ class FastRipple(NamedTuple):
 
 def fast_ripples(likelihood, model, excluded=()) -> list[FastRipple]:
     """
-    Return the ripples of motors that matter and are not in a model, those that gain most first.
+    Return the ripples of motors that matter and are not in a Fitted, list of FastRipple.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    model : Fitted
-        With all that was found.
-    excluded : collection of str
-        Effects that are left out.
-
-    Returns
-    -------
-    list of FastRipple
-        As many per joint as it may have. Of joints with both encoders only those that the link's
-        equation does not show as well: those are errors of the gear's angle.
-
+    As many per joint as it may have, those that gain most first; of joints with both encoders only
+    those that the link's equation does not show as well: those are errors of the gear's angle.
     """
     if TorqueRipple.name in excluded:
         return []
@@ -84,11 +71,7 @@ def fast_ripples(likelihood, model, excluded=()) -> list[FastRipple]:
 
 
 def with_ripples(likelihood, other, ripples, states, gap) -> tuple[State, Gap]:
-    """
-    Return the second of two States with FastRipples and its Gap.
-
-    As it is without any, or if torque or free runs are clearly worse with them.
-    """
+    """Return the second State with FastRipples, and its Gap; as it is if they make it worse."""
     alone, after = states
     further = tuple(one.spec for one in ripples)
     if not further:

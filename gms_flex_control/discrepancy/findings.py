@@ -71,13 +71,8 @@ def judged(likelihood, found, functions) -> tuple:
     Return the search's end with effects that are real alone, their Worths, and what is left.
 
     Of a joint in which something is left, an effect that explains less than a free function of
-    some variable, of the FreeFunctions, would in its place only resembles what is there.
-
-    Returns
-    -------
-    Found, list of Worth, Free or None, Found
-        The last with effects that only resemble what is there as well.
-
+    some variable, of the FreeFunctions, would in its place only resembles what is there. That is
+    Found, list of Worth, Free or None, and Found with effects that only resemble as well.
     """
     found, worths = pruned(likelihood, timed(likelihood, found))
     whole = found
@@ -152,11 +147,7 @@ def _lessened(likelihood, found, one, held_out):
 
 
 def predicting_subset(likelihood, found, held_out) -> State:
-    """
-    Return the State with those of the effects found that together predict held-out data best.
-
-    One effect after the other is added to none, while that predicts better.
-    """
+    """Return the State with those effects found that, added one by one, predict best."""
     added = range(likelihood.known, len(found.best.model.robot.effects))
 
     def tried(subset):
@@ -216,11 +207,7 @@ def evidence_shares(functions, model, worths, left, beside, somewhere) -> list:
 
 
 def joints_left(likelihood, model, free) -> tuple:
-    """
-    Return the joints (of str) in which a model leaves something.
-
-    That is more than drives make of noise, and than encoders do, or a function ``free``, a Free.
-    """
+    """Return the joints (str) in which a model leaves more than noise, or a Free function."""
     quiet = excess_torque(likelihood, model) <= np.maximum(
         LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
         caution_of(likelihood) * clean_torque(likelihood))
@@ -230,12 +217,7 @@ def joints_left(likelihood, model, free) -> tuple:
 
 
 def findings_of(likelihood, found, worths, held_out) -> list:
-    """
-    Return a Finding for each Worth of a search's end.
-
-    Those that matter, ``main``, lessen the residual torque of HeldOut data by what matters in
-    practice.
-    """
+    """Return a Finding for each Worth; ``main`` ones lessen held-out torque by what matters."""
     models = posterior(found.tried, likelihood.known)
     whole = max(found.before.model.cost - found.best.model.cost, 1e-12)
     beside = {other.key: other.gain for other in found.dictionary.ranked(

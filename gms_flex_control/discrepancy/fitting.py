@@ -170,11 +170,7 @@ def prior_of(likelihood, model, numbers=None) -> Prior:
 
 
 def step_of(likelihood, model, columns, numbers, plausible=np.inf) -> np.ndarray:
-    """
-    Return the step (C,) of all that is free to where a model is likeliest, to first order.
-
-    Nuisance parameters go no farther than ``plausible`` standard deviations of their priors.
-    """
+    """Return the step (C,) to where a model is likeliest, to first order, within ``plausible``."""
     parts = _products(likelihood, model, columns, numbers, [slice(None)])
     return _step(likelihood, model, numbers, *parts[0], plausible)[0]
 
@@ -201,11 +197,7 @@ def _products(likelihood, model, columns, numbers, parts):
 
 
 def foreseen(likelihood, model, columns, own, numbers, plausible=np.inf) -> tuple:
-    """
-    Return the step (C,) of `step_of`, and by how much the cost falls there at most.
-
-    The derivatives are ``columns``, of which products are kept, then ``own`` (V, R).
-    """
+    """Return the step (C,) of `step_of`, and by how much the cost falls there at most."""
     weight, noise = 1.0 / likelihood.noise_levels(model.sums.groups), likelihood.encoder_noise
     of_rows, grams = weight[likelihood.groups.group], likelihood.encoder_noise.grams_of(columns)
     of_numbers = noise.of_numbers(model.robot, numbers)
@@ -226,11 +218,7 @@ def _step(likelihood, model, numbers, slope, whole, added, plausible):
 
 
 def _cleared(whole, added):
-    """
-    Return the products (C, C) of columns, less what encoder noise makes of them on average.
-
-    At least `_LEAST_SHARE` of the products of any combination of columns is left.
-    """
+    """Return the products (C, C) less what encoder noise makes of them; `_LEAST_SHARE` is left."""
     size = np.sqrt(np.diag(whole))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     value, vector = np.linalg.eigh(whole * np.outer(scale, scale))
@@ -263,30 +251,13 @@ def limits(model, numbers, prior, farthest=np.inf) -> tuple:
 
 def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=8) -> Fitted:
     """
-    Move nuisance parameters and the numbers of effects to where a model is likeliest.
+    Move nuisance parameters and the numbers of effects to where a model is likeliest, a Fitted.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    robot : RobotParams
-        Where to begin.
-    x : ndarray, shape (P,)
-        Nuisance parameters to begin with.
-    columns : ndarray, shape (C, R)
-        Derivatives that hardly change: by nuisance parameters and, if they are known, by the
-        first numbers of these effects; the others are taken anew each time.
-    first : int, optional
-        Effects before are left as they are; default those the user knows.
-    plausible : float or ndarray, shape (P,)
-        Standard deviations of their priors that nuisance parameters may go.
-    iterations : int
-        At most.
-
-    Returns
-    -------
-    Fitted
-
+    From ``robot`` and ``x`` (P,). ``columns`` (C, R) are derivatives that hardly change: by
+    nuisance parameters and, if they are known, by the first numbers of these effects; others are
+    taken anew each time. Effects before the ``first``, default those the user knows, are left as
+    they are; nuisance parameters go ``plausible`` standard deviations of their priors, a number or
+    (P,).
     """
     x = np.where(likelihood.resting(robot), 0.0, x)
     x = np.clip(x, -plausible * likelihood.sd, plausible * likelihood.sd)
@@ -349,11 +320,7 @@ def prior_cost(likelihood, model) -> float:
 
 
 def retuned(likelihood, robot, x, plausible=np.inf, columns=None) -> tuple:
-    """
-    Return a robot with its nuisance parameters re-tuned from ``x`` (P,), a Fitted, and columns.
-
-    The derivatives are taken anew where the parameters have moved, unless they are given.
-    """
+    """Return a Fitted re-tuned from ``x`` (P,), and its columns, anew where it has moved."""
     fixed = columns is not None
     if not fixed:
         columns = likelihood.columns(likelihood.fitted(robot, x))
@@ -367,11 +334,7 @@ def retuned(likelihood, robot, x, plausible=np.inf, columns=None) -> tuple:
 
 
 def refitted(likelihood, model, nuisances, iterations=8) -> tuple:
-    """
-    Return a Fitted with all its effects fitted together, and its columns (C, R) anew.
-
-    ``nuisances`` (P, R) are the derivatives by the nuisance parameters.
-    """
+    """Return a Fitted, all effects fitted together, and columns; ``nuisances`` (P, R) are kept."""
     model = fit(likelihood, model.robot, model.x, nuisances, iterations=iterations)
     return model, extended(likelihood, model, nuisances)
 

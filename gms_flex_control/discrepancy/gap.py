@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
+from gms_flex_control import friction as gms
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.fitting import at_values, numbers_of, values_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
@@ -15,7 +16,6 @@ from gms_flex_control.discrepancy.residuals import (
     fresh_state,
     inertial_torque,
     motion_as_modelled,
-    replay_friction,
     SENSOR,
 )
 from gms_flex_control.discrepancy.result import Gap
@@ -47,15 +47,8 @@ class HeldOut:
     """
     Data that took no part in a fit: other recordings, or blocks of time left out in turn.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings that were fitted.
-    other : Likelihood, optional
-        Of other recordings.
-    further : tuple of EffectSpec
-        What all models of a Gap have as well, as it is.
-
+    Of the Likelihood that was fitted and, if given, an ``other`` one; all models of a Gap have the
+    effects ``further`` as well, as they are.
     """
 
     def __init__(self, likelihood, other=None, further=()):
@@ -95,11 +88,7 @@ class HeldOut:
                       _known(np.sum((torque / self._likelihood.coulomb) ** 2) * free))
 
     def worsens(self, state, other, trifle=0.0) -> bool:
-        """
-        Return whether a State predicts anything worse than another, by more than a ``trifle``.
-
-        That is a share of residual torque, of the drive's torque, or of free-run errors.
-        """
+        """Return whether a State predicts torque or free runs worse by more than a ``trifle``."""
         one, two, scale = self.errors(state), self.errors(other), self._likelihood.coulomb
         most = (1.0 + trifle) ** 2
         return bool(any(_known(np.sum(a ** 2)) > most * _known(np.sum(b ** 2)) for a, b in (
@@ -277,7 +266,12 @@ def run_freely(states, base, command, pushed, supply, time, period, substeps, st
     for k in range(command.shape[0]):
         if at == starts.shape[0]:
             break
-        replay_friction(k, joints, period, constants, replayed, work)
+        for j in range(n):
+            replayed.dq_link[j] = joints[k, 1, j]
+            work.displacement[j] = joints[k, 0, j] - joints[max(k - 1, 0), 0, j]
+        if k > 0:
+            gms.advance(replayed.friction, work.displacement, replayed.dq_link, period,
+                        constants.friction)
         if k == starts[at]:
             plant.take_place(k, states, command[k], time[k], state, work)
             state.memory[:] = replayed.memory
@@ -316,24 +310,10 @@ def _horizon(period):
 
 def free_runs(motion, constants, starts=None) -> tuple:
     """
-    Return how far free runs of a model are from a recording.
+    Return times (S,) at which free runs of a model start [s], and how far they are off [rad].
 
-    Parameters
-    ----------
-    motion : Motion
-        The recording.
-    constants : numpy.record
-        The model.
-    starts : ndarray, shape (S,), optional
-        Samples at which they start, default `starts_of` the motion.
-
-    Returns
-    -------
-    starts : ndarray, shape (S,)
-        Times of the starts [s].
-    link, motor : ndarray, shape (S, H, n)
-        Measured minus simulated angles [rad]; of a link that is unseen, its motor's.
-
+    Measured minus simulated angles of link and motor, (S, H, n) each, of an unseen link its
+    motor's, along a Motion; ``starts`` (S,) are samples, default `starts_of` the motion.
     """
     samples, constants = motion.samples, motion.carrying(constants)
     period, n = samples.period, len(samples.joints)
@@ -352,12 +332,7 @@ def free_runs(motion, constants, starts=None) -> tuple:
 
 
 def _as_modelled(motion, constants):
-    """
-    Return the samples' motion (T, 6, n) and readings (T, 2, n) as a model sees them.
-
-    Cleared of the errors of its sensors, and with links that have no encoder where it has them.
-    And angle and rate of what each joint stands on (T, 2, n).
-    """
+    """Return motion (T, 6, n), readings and bases (T, 2, n) as a model sees them, cleared."""
     samples = motion.samples
     if not (acts(constants, SENSOR) or samples.unseen):
         return samples.states, samples.readings, np.zeros_like(samples.readings)

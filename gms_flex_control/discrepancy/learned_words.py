@@ -33,15 +33,7 @@ class Formula(NamedTuple):
 
 
 def formula_of(x, y) -> Formula:
-    """
-    Return the simplest Formula that is nearly as close to a curve as the closest.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (P,)
-        The curve, x increasing.
-
-    """
+    """Return the simplest Formula nearly as close to a curve (P,), x rising, as the closest."""
     middle, span, size = 0.5 * (x[0] + x[-1]), x[-1] - x[0], np.sqrt(np.mean(y ** 2))
     if size == 0.0 or span <= 0.0:
         return Formula('constant', (0.0,), 0.0, 1)
@@ -104,22 +96,9 @@ def described(spec, span, arm) -> tuple[str, float]:
     """
     Return what a learned term looks like, in units of an arm, and the error of that.
 
-    Parameters
-    ----------
-    spec : EffectSpec
-        Of a kind of effects.learned.
-    span : (float, float) or None
-        Lowest and highest value of its variable in the recordings; None of no curve.
-    arm : ArmParams
-        Its axes are rotary or linear.
-
-    Returns
-    -------
-    str
-        Such as 'a torque over the link angle of joint1 that looks like a bump of ...'.
-    float
-        Rms of what the formula leaves over rms of the curve; NaN of no curve.
-
+    Such as 'a torque over the link angle of joint1 that looks like a bump of ...', and the rms of
+    what that leaves over rms of the curve. ``span`` are lowest and highest value of its variable
+    in the recordings; of no curve it is None, and the error NaN.
     """
     if span is None:
         return in_units(arm, _of_elements(spec)), np.nan
@@ -132,7 +111,7 @@ def described(spec, span, arm) -> tuple[str, float]:
 
 def _of_elements(spec):
     """Return a term that is no curve in words."""
-    count = shapes.KINDS[spec.name].count
+    count = shapes.LEARNED[spec.name].count
     weights = np.array(spec.values[:count])
     places = np.geomspace(*spec.values[count:count + 2], count)[weights > _TOLD * weights.max()]
     if spec.name == 'learned_hysteresis':

@@ -72,22 +72,9 @@ def learn(result, *, holdout=(), say=lambda text: None) -> Discrepancy:
     """
     Return a Discrepancy with terms learned for what no effect in its robot explains.
 
-    Parameters
-    ----------
-    result : Discrepancy
-        With the search behind it.
-    holdout : sequence of Recording
-        On which the gap is measured, as for `find_discrepancy`.
-    say : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    Discrepancy
-        The same where nothing is open, or no term predicts held-out data better. Else with
-        ``learned`` terms in ``robot``, in the place of effects that only resemble what is missing
-        where that predicts better.
-
+    The same where nothing is open, or no term predicts held-out data better. Else with ``learned``
+    terms in ``robot``, in the place of effects that only resemble what is missing where that
+    predicts better. ``holdout`` and ``say`` as of `find_discrepancy`.
     """
     if not result.is_open or result.behind is None:
         return result
@@ -189,7 +176,7 @@ class _Learning:
                 gain = self._gain(one, state)
                 if not gain._replace(sigmas=gain.sigmas / self._caution).is_real:
                     continue
-                if not shapes.KINDS[one.spec.name].written:
+                if not shapes.LEARNED[one.spec.name].written:
                     drift = words_of_drift(self._described(one)[0])
                     continue
                 closer = self._closer(one.state, gap)
@@ -260,7 +247,7 @@ class _Learning:
     def _fitted(self, state, spec):
         """Return a _Candidate of a model with a term, all else re-tuned."""
         likelihood, base = self.likelihood, state.model
-        kind = shapes.KINDS[spec.name]
+        kind = shapes.LEARNED[spec.name]
         count = kind.count
         size = _PROBE * (kind.typical(likelihood.scales_of(spec.joint))[0])
         zero = with_effect(base.robot, spec)
@@ -311,7 +298,7 @@ def _specs(likelihood, j, ranges):
     further = {
         'learned_hysteresis': [tuple(share * span for share in _YIELDS)],
         'learned_resonance': [(*_FREQUENCIES, _DAMPING)]}
-    for name, kind in shapes.KINDS.items():
+    for name, kind in shapes.LEARNED.items():
         if rigid and name == 'learned_torsion':
             continue
         rest = further.get(name)
@@ -330,7 +317,7 @@ def _specs(likelihood, j, ranges):
 
 def _used(spec):
     """Return how many weights of a term are in use."""
-    return int(spec.values[shapes.USED] if spec.name in _CURVES else shapes.KINDS[
+    return int(spec.values[shapes.USED] if spec.name in _CURVES else shapes.LEARNED[
         spec.name].count)
 
 

@@ -87,11 +87,7 @@ class Motion:
         return self.through_filter(self.samples.pushed)
 
     def with_torque(self, way, change) -> Self:
-        """
-        Return the Motion with other torques held from sample to sample.
-
-        ``change`` makes them (T, n) [N m] of those there; ``way`` distinguishes what it does.
-        """
+        """Return the Motion with other held torques (T, n) [N m], as ``change`` makes them."""
         torque = (*self.torque, way)
 
         def made():

@@ -13,11 +13,11 @@ from typing import NamedTuple
 from gms_flex_control import records
 from gms_flex_control.discrepancy.motion import Motion
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.robot import KINDS, RobotParams
+from gms_flex_control.params.robot import RobotParams, UNCERTAIN
 from gms_flex_control.simulation import plant
 import numpy as np
 
-PRIOR = {kind: one.sd for kind, one in KINDS.items()}  # relative standard deviations
+PRIOR = {kind: one.sd for kind, one in UNCERTAIN.items()}  # relative standard deviations
 LARGEST = 0.8     # relative change: nothing that a model has vanishes altogether
 OF_SHAPE = ('static', 'velocity', 'attraction', 'blocks')  # residuals are not linear in them
 _CARRIED = {'planar': ('coupling', 'moment'), 'urdf': ('mass', 'inertia')}  # of links
@@ -86,11 +86,7 @@ class RotorNuisance(NamedTuple):
 
 
 class OfRecording(NamedTuple):
-    """
-    What differs between the first recording and another: an encoder zero, torque, or its time.
-
-    Those of the first count as the robot's, and have effects with names.
-    """
+    """Encoder zero, torque or time in which a recording differs from the first of them."""
 
     name: str
     joint: int
@@ -224,11 +220,7 @@ def nuisances_of(constants, prior, stated=None) -> tuple:
 
 
 def tuned(constants, nuisances, values, own=None) -> np.record:
-    """
-    Return a copy of constants with nuisance parameters at ``values`` (P,).
-
-    ``own`` are the constants without effects, default the same.
-    """
+    """Return a copy of constants with nuisances at ``values`` (P,); ``own`` lack effects."""
     boxed = records.boxed(constants)
     for nuisance, value in zip(nuisances, values, strict=True):
         if value != 0.0:
@@ -237,11 +229,7 @@ def tuned(constants, nuisances, values, own=None) -> np.record:
 
 
 def with_nuisances(robot, nuisances, x) -> RobotParams:
-    """
-    Return a robot whose own parameters are what its nuisance parameters ``x`` (P,) make them.
-
-    Its record is that of `tuned`.
-    """
+    """Return a robot whose own parameters are what nuisances ``x`` (P,) make them, as `tuned`."""
     bare = plant.constants_of(replace(robot, effects=()))
     wanted = tuned(plant.constants_of(robot), nuisances, x, bare).chain
     record = tuned(bare, nuisances, x)

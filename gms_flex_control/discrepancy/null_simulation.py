@@ -101,13 +101,7 @@ def null_readings(motion, constants) -> Callable:
     """
     Return a function that takes a generator and returns a null simulation, a Motion.
 
-    All of them read the same run.
-
-    Raises
-    ------
-    SimulationError
-        If the model runs away.
-
+    All of them read the same run. SimulationError if the model runs away.
     """
     constants, samples = motion.carrying(constants), motion.samples
     links, n = constants.chain, len(samples.joints)
@@ -185,17 +179,9 @@ class EncoderNoise:
     """
     How encoder noise shows in R whitened residuals and in their derivatives.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        With its groups.
-    robot, x : RobotParams and ndarray, shape (P,)
-        Of the null simulations.
-    by_step : sequence of pair of ndarray, shape (R,)
-        Of both with each nuisance parameter `NUISANCE_STEP` off; the last pair as simulated.
-    cautious : bool
-        Whether no derivative is known where it is mostly noise.
-
+    ``robot`` and ``x`` (P,) are of the null simulations, ``by_step`` pairs of (R,): both with each
+    nuisance parameter `NUISANCE_STEP` off, the last as simulated. ``cautious``: no derivative is
+    known where it is mostly noise.
     """
 
     def __init__(self, likelihood, robot, x, by_step, cautious=False):
@@ -229,17 +215,10 @@ class EncoderNoise:
 
     def learn(self, likelihood, spec, linear) -> None:
         """
-        Learn how noise shows in the derivatives by an effect.
+        Learn how noise shows in the derivatives by an effect (EffectSpec) at a small size.
 
-        Parameters
-        ----------
-        likelihood : Likelihood
-            With the null simulations.
-        spec : EffectSpec
-            At a small size.
-        linear : sequence of (int, tuple)
-            Parameters in which it is linear, and values at which only that one is not zero.
-
+        ``linear`` has parameters in which it is linear, and values at which only that one is not
+        zero.
         """
         shown = np.zeros((len(spec.values), len(self.own)))
         informative = np.ones((len(spec.values), len(self.own_sums)), dtype=bool)
@@ -274,11 +253,7 @@ class EncoderNoise:
                                   robot, numbers)
 
     def known(self, columns) -> np.ndarray:
-        """
-        Return columns (C, R), 0 in residuals of mostly noise that is known to first order only.
-
-        That is where residuals are not linear in a nuisance parameter.
-        """
+        """Return columns (C, R), 0 where a nuisance is of shape and the residuals mostly noise."""
         known = columns.copy()
         for i in np.flatnonzero(self._shapes):
             known[i] *= self._informative[i][self._groups.group]
@@ -317,11 +292,7 @@ class EncoderNoise:
         return out
 
     def anchored(self, robot, x, simulated) -> np.ndarray:
-        """
-        Return by how much both differ (R,), and begin there for models with the same effects.
-
-        ``simulated`` finds it; it is called unless this model was the last with its effects.
-        """
+        """Return the difference (R,) ``simulated``, kept for models of the same effects."""
         effects, key = robot.effects[self._known:], self._added(robot)
         kept = self._anchors.get(key)
         if kept is None or kept[0] != effects or not np.array_equal(kept[1], x):

@@ -195,17 +195,10 @@ class FreeFunctions:
 
     def ranked(self, model, columns, joint=None) -> list:
         """
-        Return the free functions beside a model, list of Free, that of most evidence first.
+        Return the free functions beside a Fitted, list of Free, that of most evidence first.
 
-        Parameters
-        ----------
-        model : Fitted
-            What is there.
-        columns : ndarray, shape (C, R)
-            Derivatives of its rows.
-        joint : str, optional
-            Only functions of this joint.
-
+        ``columns`` (C, R) are derivatives of its rows; ``joint`` leaves only functions of that
+        one.
         """
         normal = NormalEquations(self._likelihood, model, columns)
         lost = self._likelihood.noise_cleared(model, self._likelihood.weights(model.sums.groups))
@@ -242,11 +235,7 @@ class FreeFunctions:
                 else self._rows(joint, equation, variable, noise))
 
     def left_in(self, model, columns, caution=1.0, ranked=None) -> 'Free | None':
-        """
-        Return the free function that a model lacks, a Free, None where nothing matters.
-
-        One of the ``ranked``, default all.
-        """
+        """Return the Free function, of ``ranked`` ones or all, that a model lacks, or None."""
         without = normal = None
         for free in (self.ranked(model, columns) if ranked is None else ranked)[:_TRIED]:
             if (free.evidence <= EVIDENCE
@@ -263,11 +252,7 @@ class FreeFunctions:
         return None
 
     def _predicted(self, normal, model, columns, rows, noise):
-        """
-        Return the log likelihood of blocks left out (B,), with a function of ``rows`` (K, R).
-
-        ``noise`` (K, R) is how it differs in two null simulations.
-        """
+        """Return log likelihoods of blocks left out (B,), with a function of ``rows`` (K, R)."""
         likelihood, numbers = self._likelihood, numbers_of(self._likelihood, model.robot)
         pull = 1.0 / likelihood.coulomb.max() ** 2
         weight = likelihood.weights(normal.beside(rows, pull=pull).sums)

@@ -306,11 +306,7 @@ class Over(NamedTuple):
 
 
 def over_all(along, *residuals) -> list[Over]:
-    """
-    Return what residuals (S, 2n) depend on, list of Over by joint, equation and variable.
-
-    They are those before, after, and of a null simulation, which shows what is chance.
-    """
+    """Return Overs of residuals (S, 2n) before, after, and of a null simulation (chance)."""
     found = []
     for j, joint in enumerate(along.joints):
         for equation, column in along.channels(j):

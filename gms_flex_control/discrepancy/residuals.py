@@ -12,7 +12,7 @@ from functools import cache, partial
 
 from gms_flex_control import friction as gms
 from gms_flex_control import records
-from gms_flex_control.compiled import compiled, compiled_part
+from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import derivatives, low_pass
 from gms_flex_control.discrepancy.motion import filtered_alike, weight_of_neighbours
 from gms_flex_control.discrepancy.samples import second_difference, smoothing
@@ -52,26 +52,6 @@ def mean_applied(command, supply, time, period, constants, state, work, out) -> 
             effect_table.run_stage(_ACTUATOR, s, state.memory, period / _SUBSTEPS, effects)
             for j in range(n):
                 out[k, j] += s[j, sig.TORQUE] / _SUBSTEPS
-
-
-@compiled_part
-def replay_friction(k, states, period, constants, state, work) -> None:
-    """Move the blocks to sample ``k`` and write the friction torques into ``work.friction``."""
-    for j in range(states.shape[2]):
-        state.dq_link[j] = states[k, 1, j]
-        work.displacement[j] = states[k, 0, j] - states[max(k - 1, 0), 0, j]
-    if k > 0:
-        gms.advance(state.friction, work.displacement, state.dq_link, period, constants.friction)
-    gms.total(state.friction, state.dq_link, constants.friction, work.friction)
-
-
-@compiled
-def friction_along(states, period, constants, state, work, friction) -> None:
-    """Fill ``friction`` (T, n) [N m] along angles and rates (T, 2, n) of joints on their bases."""
-    for k in range(states.shape[0]):
-        replay_friction(k, states, period, constants, state, work)
-        for j in range(states.shape[2]):
-            friction[k, j] = work.friction[j]
 
 
 @compiled
@@ -129,23 +109,11 @@ def residuals_along(states, second, friction, bias, inertial, carried, drive, re
     """
     Fill the residual torques ``out`` (T, 2 n) of link and motor equations [N m].
 
-    Parameters
-    ----------
-    states, second : ndarray, shapes (T, 6, n) and (T, 2, n)
-        Smoothed motion; filtered second differences of the readings.
-    friction, bias, inertial, carried : ndarray, shape (T, n)
-        Torques of the blocks, ``C dq + g``, ``M second`` and ``M ddq`` [N m].
-    drive, rest : ndarray, shape (T, n)
-        Filtered torque of the actuators [N m]; torsion as read less the smoothed one [rad].
-    time, period : ndarray, shape (T,), and float
-        [s].
-    weight : float
-        Of both neighbours of a sampled torque, `motion.weight_of_neighbours`.
-    constants, state, work : numpy.record
-        From simulation.plant; the state is overwritten.
-    out : ndarray, shape (T, 2 n)
-        Filled.
-
+    ``states`` (T, 6, n) is the smoothed motion, ``second`` (T, 2, n) filtered second differences
+    of the readings; ``friction``, ``bias``, ``inertial``, ``carried`` (T, n) are torques of the
+    blocks, ``C dq + g``, ``M second`` and ``M ddq`` [N m]; ``drive`` (T, n) is the filtered torque
+    of the actuators [N m], ``rest`` (T, n) torsion as read less the smoothed one [rad]; ``weight``
+    is `motion.weight_of_neighbours`. The state is overwritten.
     """
     s, links, effects = work.signals, constants.chain, constants.effects
     samples, n = drive.shape
@@ -187,22 +155,11 @@ def residuals_along(states, second, friction, bias, inertial, carried, drive, re
 
 def unexplained(motion, constants) -> np.ndarray:
     """
-    Return the residual torques of a model along a motion, Eq. (1).
+    Return the residual torques (S, 2 n) of a model along a Motion, Eq. (1) [N m].
 
-    Parameters
-    ----------
-    motion : Motion
-        The measured motion, S samples of n joints.
-    constants : numpy.record
-        The model, of simulation.plant.constants_of.
-
-    Returns
-    -------
-    ndarray, shape (S, 2 n)
-        ``M ddq + C dq + g - s + F`` of the links, then ``J ddq_motor + s - u`` of the motors,
-        zero where a joint is rigid [N m]: positive pushes forward. Of an unseen link, both in the
-        first.
-
+    ``M ddq + C dq + g - s + F`` of the links, then ``J ddq_motor + s - u`` of the motors, zero
+    where a joint is rigid: positive pushes forward. Of an unseen link, both in the first. The
+    model is a record of simulation.plant.constants_of.
     """
     constants = motion.carrying(constants)
     drive = drive_torque(motion, constants)
@@ -215,11 +172,7 @@ def unexplained(motion, constants) -> np.ndarray:
 
 
 def motion_as_modelled(motion, constants, drive) -> tuple:
-    """
-    Return motion (S, 6, n) and second differences (S, 2, n), unseen links where a model has them.
-
-    That is where its motor equation holds behind the low-pass, whatever it was begun with.
-    """
+    """Return motion and second differences, unseen links where the motor equation has them."""
     if not motion.samples.unseen:
         return motion.states, motion.second
     return motion.once(_key_of_links(motion, constants), partial(
@@ -284,23 +237,19 @@ def _on_motors(motion, constants, drive, states, second):
 
 
 def _residuals(motion, constants, drive, states, second, way):
-    """
-    Return what is missing in the link and in the motor equations along a motion (S, 2 n).
-
-    Torques are kept: ``way``, tuple of bytes, distinguishes motions of this recording.
-    """
+    """Return what link and motor equations lack (S, 2 n); ``way`` keys torques that are kept."""
     own, work, kept = _key(constants, (), 'friction'), plant.workspace(drive.shape[1]), motion.once
     joints = states
     if acts(constants, SENSOR):
         turns_against, as_read = np.zeros_like(drive), (*way, *own)
         way = (*way, *_key(constants, (SENSOR,)))
         if _bends(constants):
-            turns_against = kept(as_read, partial(_friction, motion, states, constants, work))
+            turns_against = kept(as_read, partial(_friction, motion, states, constants))
             way = (*way, motion.torque, *_key(constants, (_ACTUATOR,)), *own)
         states, second, base = kept(('cleared', *way), partial(
             cleared, motion, drive, states, second, constants, turns_against))
         joints = states[:, :2] - base
-    friction = kept((*way, *own), partial(_friction, motion, joints, constants, work))
+    friction = kept((*way, *own), partial(_friction, motion, joints, constants))
     bodies = kept((*way, *_key(constants, (), *_of_bodies(constants))), partial(
         _rigid_body, states, second, constants, work))
     out = _formed(motion, constants, drive, states, second, friction, *bodies)
@@ -352,11 +301,9 @@ def _key(constants, stages, *fields):
                       for name in fields))
 
 
-def _friction(motion, states, constants, work):
+def _friction(motion, states, constants):
     """Return the friction torques (S, n) along angles and rates (S, 2 or more, n) [N m]."""
-    friction = np.empty((len(states), states.shape[2]))
-    friction_along(states, motion.period, constants, fresh_state(constants), work, friction)
-    return friction
+    return gms.replay(states[:, 0], states[:, 1], motion.period, constants.friction)
 
 
 def _rigid_body(states, second, constants, work):
@@ -387,13 +334,9 @@ def drive_torque(motion, constants) -> np.ndarray:
 
 
 def cleared(motion, drive, states, second, constants, friction=None) -> tuple:
-    """
-    Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors.
-
-    And angle and rate of what each joint stands on (S, 2, n).
-    """
+    """Return motion (S, 6, n), second differences and bases (S, 2, n), sensor errors cleared."""
     work = plant.workspace(drive.shape[1])
-    friction = _friction(motion, states, constants, work) if friction is None else friction
+    friction = _friction(motion, states, constants) if friction is None else friction
     true, bend, base = np.empty_like(states), np.empty_like(second), np.empty_like(second)
     clear_sensor_errors(states, friction, drive, motion.time, motion.period, constants,
                         fresh_state(constants), work, true, bend, base)

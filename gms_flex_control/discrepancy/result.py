@@ -132,11 +132,7 @@ class Signature(NamedTuple):
     joints: tuple = ()  # of str: all of which no effect explains more than it leaves
 
     def is_of(self, finding) -> bool:
-        """
-        Return whether it depends on what a Finding of the joint depends on.
-
-        The finding then has another shape than what is there, which it only resembles.
-        """
+        """Return whether a Finding of its joint depends on the same: it then only resembles."""
         return finding.joint == self.joint and find(finding.effect).evidence in self.variable
 
 

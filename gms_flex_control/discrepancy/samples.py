@@ -76,15 +76,7 @@ class Samples:
 
 
 def samples_of(recording, robot) -> Samples:
-    """
-    Return the Samples of a Recording with the joints of a robot, in any order.
-
-    Raises
-    ------
-    BagError
-        If a joint, angles or torques are missing.
-
-    """
+    """Return the Samples of a Recording, joints as the robot's; BagError if any is missing."""
     recording = recording.of_joints(robot.joints)
     require_known(recording, robot)
     time, period = even_time(recording)
@@ -128,11 +120,7 @@ def require_known(recording, robot) -> None:
 
 def make_samples(joints, time, period, readings, command, supply, commanded, source,
                  unseen=()) -> Samples:
-    """
-    Return Samples, all of them known; arguments as its fields.
-
-    The readings of links that are ``unseen`` are computed, in place.
-    """
+    """Return Samples, all of them known; readings of ``unseen`` links are computed, in place."""
     time = np.array(time)  # kernels are compiled anew for a read-only one
     command = np.ascontiguousarray(command)
     for link in unseen:
@@ -243,12 +231,7 @@ def has_commands(recording) -> bool:
 
 
 def held_torque(recording, time, period) -> np.ndarray:
-    """
-    Return the torque held from each of even times on, shape (T, n) [N m].
-
-    Commands if they cover the recording, else the efforts that the joint states report for the
-    sample that ended. Where samples were uneven it is the mean of what was held.
-    """
+    """Return the torque held from even times on (T, n) [N m]: commands, or efforts reported."""
     if has_commands(recording):
         torque = held(recording.command)
     elif np.isfinite(recording.tau_motor).mean() > _KNOWN:

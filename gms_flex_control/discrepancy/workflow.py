@@ -76,30 +76,11 @@ def find_discrepancy(
         holdout: Sequence[Recording] = (),
         say: Callable[[str], object] = lambda text: None) -> Discrepancy:
     """
-    Find what a model lacks.
+    Find what a robot as believed lacks to explain its recordings, as a Discrepancy.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Of one robot.
-    robot : RobotParams
-        As believed; recordings may have its joints in any order, and others beside them.
-    options : Options, optional
-        How to go about it.
-    holdout : sequence of Recording
-        Further recordings on which the gap is measured; default blocks of time left out in turn.
-    say : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    Discrepancy
-
-    Raises
-    ------
-    BagError
-        If a recording lacks what the equations need, and is not refused as bad data.
-
+    Recordings may have its joints in any order, and others beside them. The gap is measured on
+    ``holdout``, default blocks of time left out in turn; ``say`` hears what is being done.
+    BagError if a recording lacks what the equations need, and is not refused as bad data.
     """
     begun, options = time.monotonic(), options or Options()
     sources = tuple(recording.source for recording in recordings)
@@ -165,11 +146,7 @@ def _compared(motions, holdout, robot, options, say):
 
 
 def _result(likelihood, found, searched, after, findings, left, gap, retuned_alone):
-    """
-    Return the Discrepancy, without words, of a search and its end; ``after`` is written.
-
-    ``retuned_alone`` is the Gap after known parameters are re-tuned and nothing else.
-    """
+    """Return the Discrepancy, without words, of a search; ``after`` is written."""
     known, joints = likelihood.known, likelihood.robot.joints
     changes = list(zip(likelihood.nuisances, after.model.x.tolist(), strict=True))
     added, named = after.key(known), {one.key for one in findings}
@@ -203,12 +180,7 @@ def _with_noise(likelihood):
 
 
 def _searched(likelihood, options, say):
-    """
-    Return a search, with the noise of a robot like the one found if that is another.
-
-    Noise depends on the robot: where it sticks, say, encoder counts hide its friction; and torque
-    noise was measured beside all that was missing.
-    """
+    """Return a search, with the noise of a robot like the one found if that is another."""
     def searched(begin=None, wait=True, without=options.without):
         return search(likelihood, most=options.most, excluded=without, begin=begin, wait=wait,
                       say=say)
@@ -255,11 +227,7 @@ def _sound(likelihood, found):
 
 
 def _left_over(likelihood, model, free, gap, measured=None):
-    """
-    Return the Signature of what is left where it is more than noise of drives, else None.
-
-    Also where only other recordings, ``measured``, show it: then of these.
-    """
+    """Return the Signature of more than drive noise left, also in ``measured`` alone, or None."""
     share, joints = min(gap.energy_ratio, 1.0), likelihood.robot.joints
     for data, function in ((likelihood, free), *([(measured, None)] if measured else [])):
         somewhere = joints_left(data, model, function)

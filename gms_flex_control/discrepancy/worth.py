@@ -47,11 +47,7 @@ class Worth(NamedTuple):
 
     @property
     def weight(self) -> float:
-        """
-        Return by what effects are ranked [N m]: between all its torque and what is its alone.
-
-        A large effect that others can make the better part of is large all the same.
-        """
+        """Return by what effects are ranked [N m], between all torque and what is its alone."""
         return self.torque * self.share ** 0.25
 
     def is_real(self, caution=1.0) -> bool:
@@ -145,11 +141,7 @@ def pruned(likelihood, found) -> tuple:
 
 
 def dropped(likelihood, found, index) -> Found:
-    """
-    Return the search's end without an effect: models with it no longer count as tried.
-
-    It goes on with the likeliest of the others: one of them may have what stood in its place.
-    """
+    """Return the end without an effect and models with it, going on with the likeliest other."""
     tried = (with_fewer(likelihood, found, index), *_tried_without(
         likelihood, found, found.best.model.robot.effects[index]))
     return found._replace(best=max(tried, key=lambda state: state.evidence), tried=tried)

@@ -9,7 +9,6 @@ kernel is compiled for the kind whose record it gets. The pose is the one of the
 """
 
 from functools import cache, lru_cache
-from typing import NamedTuple
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled, compiled_choice
@@ -20,20 +19,6 @@ from numba import types
 import numpy as np
 
 _SLIDE = 0.5  # [m]
-
-
-class ChainMatrices(NamedTuple):
-    """M, C and g with first and second time derivatives, in joint coordinates."""
-
-    mass: np.ndarray         # (n, n) M(q1) [kg m^2]
-    dmass: np.ndarray
-    ddmass: np.ndarray
-    coriolis: np.ndarray     # (n, n) C(q1, dq1) of the Christoffel symbols: dM/dt - 2 C is skew
-    dcoriolis: np.ndarray
-    ddcoriolis: np.ndarray
-    gravity: np.ndarray      # (n,) g(q1) [N m]
-    dgravity: np.ndarray
-    ddgravity: np.ndarray
 
 
 @lru_cache(maxsize=256)
@@ -68,12 +53,7 @@ def _kernels(links, name):
 
 @compiled_choice
 def accelerations(q, dq, links, work) -> None:
-    """
-    Write the joint accelerations under the torques ``work.tau`` into ``work.acceleration``.
-
-    ``M ddq + C dq + g = tau`` at angles and rates ``q``, ``dq`` (n,); motor inertia of rigid
-    joints is part of M.
-    """
+    """Write joint accelerations under ``work.tau``, ``M ddq + C dq + g = tau``, into ``work``."""
     return _kernels(links, 'accelerations')
 
 
@@ -119,44 +99,8 @@ def rigid_body_along(states, second, links, work, bias, inertial) -> None:
         rigid_body(states[k, 0], states[k, 1], second[k], links, work, bias[k], inertial[k])
 
 
-@compiled
-def _fill_matrices(q, dq, ddq, d3q, links, work, mass, coriolis, gravity):
-    """Write M and C, (3, n, n) each, and g (3, n), with two time derivatives, by columns."""
-    n = q.shape[0]
-    accelerations(q, dq, links, work)  # for the pose
-    still, unit, column = np.zeros((3, n)), np.zeros((3, n)), np.empty((3, n))
-    reference_torque(dq, ddq, d3q, still, still, links, work, gravity)
-    for j in range(n):
-        unit[0, j] = 1.0
-        for matrix, rate, acceleration in ((mass, still, unit), (coriolis, unit, still)):
-            reference_torque(dq, ddq, d3q, rate, acceleration, links, work, column)
-            for a in range(3):
-                for i in range(n):
-                    matrix[a, i, j] = column[a, i] - gravity[a, i]
-        unit[0, j] = 0.0
-
-
-def matrices(q, dq, ddq, d3q, arm) -> ChainMatrices:
-    """
-    Return M, C, g and their time derivatives, left side of the link equation (1).
-
-    ``q`` to ``d3q`` are the link angles and their derivatives (n_joints,); motor inertia of
-    rigid joints of the ArmParams is part of M.
-    """
-    n = arm.n_joints
-    gravity, mass, coriolis = np.empty((3, n)), np.empty((3, n, n)), np.empty((3, n, n))
-    _fill_matrices(*(np.array(x, dtype=float) for x in (q, dq, ddq, d3q)), constants_of(arm),
-                   records.build(work_layout(n)), mass, coriolis, gravity)
-    return ChainMatrices(*mass, *coriolis, *gravity)
-
-
 def inverse_dynamics(q, dq, ddq, arm) -> np.ndarray:
-    """
-    Return ``M ddq + C dq + g`` (..., n_joints), the torque of a motion without friction [N m].
-
-    ``q`` to ``ddq`` are the link angles and their derivatives (..., n_joints); motor inertia of
-    rigid joints of the ArmParams is part of M. Left side of the link equation (1).
-    """
+    """Return ``M ddq + C dq + g`` (..., n) [N m], Eq. (1) left, motors of rigid joints in M."""
     q, dq, ddq = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (q, dq, ddq)))
     shape, n = q.shape, arm.n_joints
     states = np.stack([q.reshape(-1, n), dq.reshape(-1, n)], axis=1)

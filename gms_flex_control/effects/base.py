@@ -265,12 +265,7 @@ def linear(size, *fixed, positive=False) -> list[Guess]:
 
 
 def wave(size, *fixed) -> list[Guess]:
-    """
-    Return the guess of an effect that adds like ``size sin(... + phase)``, list of one.
-
-    The phase is its last parameter; ``fixed`` are those between. Two columns a quarter apart hold
-    every phase, of sines as of cosines.
-    """
+    """Return the guess of ``size sin(... + phase)``, list of one: two columns a quarter apart."""
     return [Guess(((size, *fixed, 0.0), (size, *fixed, 0.5 * np.pi)),
                   lambda c: (size * np.hypot(c[0], c[1]), *fixed,
                              float(np.arctan2(c[1], c[0]))))]

@@ -273,6 +273,6 @@ class LearnedDrift(Learned):
         s[FRICTION] *= 1.0 + curve(s[TIME], p)
 
 
-KINDS = {kind.name: kind for kind in (
+LEARNED = {kind.name: kind for kind in (
     LearnedPosition, LearnedTorsion, LearnedRateFriction, LearnedPositionFriction,
     LearnedPositionDrag, LearnedLoadFriction, LearnedHysteresis, LearnedResonance, LearnedDrift)}

@@ -55,8 +55,8 @@ def find(name: str) -> type[Effect]:
     ParameterError if there is no such effect; the sentence names the nearest. Or if a package
     offers one that cannot be loaded, is no effect or has a name that is taken.
     """
-    if name in learned.KINDS:
-        return learned.KINDS[name]
+    if name in learned.LEARNED:
+        return learned.LEARNED[name]
     if name not in names():
         raise ParameterError(
             f'effect {name!r} is not in the catalogue{did_you_mean(name, names())}')

@@ -31,11 +31,7 @@ LAYOUT = records.layout(
 
 
 def with_changes(robot) -> RobotParams:
-    """
-    Return the robot with every effect that is a `Change` put into its parameters.
-
-    Those of joints first: what the arm carries has no part in an error of a link.
-    """
+    """Return the robot with every `Change` put into its parameters, of joints before the arm's."""
     changes = [spec for spec in robot.effects if issubclass(find(spec.name), Change)]
     changes.sort(key=lambda spec: find(spec.name).whole_arm)  # stable
     robot = replace(robot, effects=tuple(s for s in robot.effects if s not in changes))

@@ -28,11 +28,7 @@ class ProcessError(GmsFlexError):
 
 
 def executable(name: str) -> list[str]:
-    """
-    Return the command (list of str) that starts ``plant_node``, ``gms_flex`` or the like.
-
-    It is the console script beside this Python or on PATH; else that of `module_of`.
-    """
+    """Return the command (list) that starts ``plant_node`` or the like, script or `module_of`."""
     beside = Path(sys.executable).parent / name
     found = str(beside) if beside.is_file() else shutil.which(name)
     return [found] if found else module_of(name)
@@ -94,11 +90,7 @@ class Processes:
         return self._path(name).read_text(encoding='utf-8', errors='replace')
 
     def wait_for_text(self, name: str, texts, bound: float) -> None:
-        """
-        Wait until ``name`` has printed every one of ``texts`` while all processes run.
-
-        ProcessError if it does not within ``bound`` seconds, or any process ends.
-        """
+        """Wait until ``name`` printed all ``texts``; ProcessError after ``bound`` s or an end."""
         self._wait(name, lambda: all(text in self.printed(name) for text in texts), bound,
                    f'print {texts}', lambda other, code: code is not None)
 
@@ -186,12 +178,7 @@ def private_environment() -> dict:
 
 
 def drive_recorded(plan: DrivenPlan, bag: Path, *, log: Path) -> Recording:
-    """
-    Run plant, controller, trajectory and recorder until the simulated time is over.
-
-    Return what was recorded into ``bag``, whose folder is made; ``log`` gets a folder of its name
-    with what the processes print. ProcessError if one fails or does not end in time.
-    """
+    """Run plant, controller, trajectory and recorder; return the Recording, or ProcessError."""
     bag.parent.mkdir(parents=True, exist_ok=True)
     bound = START_BOUND + plan.duration * plan.rate / SLOWEST_STEPS
     with Processes(private_environment(), log / bag.name) as processes:

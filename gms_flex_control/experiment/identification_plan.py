@@ -32,11 +32,7 @@ class IdentificationPlan:
     relax_time: float         # for the springs to unload [s]
 
     def steps(self, finished=(), q_link=None) -> tuple[Step, ...]:
-        """
-        Return all steps in order, with the moves between those that measure.
-
-        Those named in ``finished`` are left out; the links are at ``q_link`` (n,), default zero.
-        """
+        """Return all steps but ``finished`` ones, with moves between; links are at ``q_link``."""
         place = tuple(np.zeros(len(self.joints)) if q_link is None else np.asarray(q_link))
         result = []
         for step in self.experiments:
@@ -129,22 +125,13 @@ def require_space(folder, needed) -> None:
 
 
 class Adaptation:
-    """
-    What the break-away steps have found, and what follows for presliding.
-
-    ``found`` is the least torque at break-away by joint [N m].
-    """
+    """The least break-away torque ``found`` by joint [N m], and what follows for presliding."""
 
     def __init__(self, plan):
         self._plan, self.found = plan, {}
 
     def broke_away(self, step, time) -> float:
-        """
-        Note that a break-away step ended; return its torque then, without gravity's [N m].
-
-        ``time`` from the step's beginning is when the joint had not yet moved by `LEAVING` of the
-        step's travel [s].
-        """
+        """Note at what ``time`` [s] a break-away step moved; return its torque less gravity."""
         j = self._plan.joints.index(step.joint)
         bias = step.trajectory_parameters[f'trajectory.{step.joint}.bias']
         trajectory = self._plan.trajectory(step)
@@ -154,12 +141,7 @@ class Adaptation:
         return torque
 
     def applied_to(self, step) -> Step:
-        """
-        Return a Step as it is to be carried out.
-
-        Of presliding the levels are scaled by found over expected break-away torque, within the
-        joint's torque limit; any other step is unchanged.
-        """
+        """Return a Step as to be done: presliding levels scaled by found over expected torque."""
         if step.phase != 'presliding' or step.joint not in self.found:
             return step
         j = self._plan.joints.index(step.joint)

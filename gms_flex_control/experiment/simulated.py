@@ -99,11 +99,7 @@ def _reference(motion, robot, plant):
 
 
 def simulate(plan: Plan, source: str = 'simulation') -> Recording:
-    """
-    Simulate a plan; return what was measured, commanded and estimated.
-
-    ``source`` is for messages and titles. SimulationError says when it diverged.
-    """
+    """Return the Recording of a plan, simulated; SimulationError where it diverges."""
     return to_recording(run_plan(plan), plan, source)
 
 
@@ -137,11 +133,7 @@ def recording_of(robot: RobotParams, measured: np.ndarray, **channels) -> Record
 
 
 def simulate_to_bag(plan: Plan, path) -> Recording:
-    """
-    Simulate a plan and write its bag, a folder at ``path``, whole or not at all.
-
-    BagError if ``path`` exists or cannot be written.
-    """
+    """Simulate a plan into a bag at ``path``, whole or not at all; BagError if it cannot be."""
     recording = simulate(plan, str(path))
     write_recording(path, recording, plan.robot.motors,
                     source='/cascade_controller', custom={
@@ -155,11 +147,7 @@ FRICTION, STIFFNESS, MASS = 0.85, 1.05, 0.93
 
 
 def scaled_friction(friction, factor) -> FrictionParams:
-    """
-    Return FrictionParams with every torque level scaled; displacements and v_s stay.
-
-    Scaled are static, coulomb, viscous and block stiffness.
-    """
+    """Return FrictionParams with static, coulomb, viscous and block stiffness scaled."""
     return friction.each_way(
         lambda steady: steady.scaled(static=factor, coulomb=factor, viscous=factor),
         stiffness=friction.stiffness * factor)

@@ -272,11 +272,7 @@ class Bridge:
         self.controller.torque = np.zeros_like(self.torque)
 
     def watch(self, now) -> bool:
-        """
-        Look whether robot and controller still speak; call it every millisecond or two.
-
-        Return whether a fault has begun: zero is to be sent at once.
-        """
+        """Look every ms or two whether both sides speak; return whether to send zero at once."""
         stood, self._watched = now - self._watched, now
         if not self.supervisor.active:
             return False

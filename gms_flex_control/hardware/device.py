@@ -75,12 +75,7 @@ class Device(ABC):
 
 
 def find(name, options, order) -> Device:
-    """
-    Return a device made by a class ``module:Class``, or by that of an entry point.
-
-    ``options`` are entries ``name=value``, ``order`` as of Device. Raises ConfigError if there is
-    no such class, it cannot be loaded, is no Device, or refuses an option.
-    """
+    """Return a device by ``module:Class`` or entry point; ConfigError if there is no such one."""
     wrong = [entry for entry in options if '=' not in entry]
     if wrong:
         raise ConfigError(f'bridge.device_options: {wrong[0]!r} must have the form name=value')

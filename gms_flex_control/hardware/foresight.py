@@ -111,11 +111,7 @@ class Foresight:
             self._changes, self._torque = self._follower.changes, bridge.torque
 
     def efforts(self, names, fields, stamp, now) -> list | None:
-        """
-        Return the efforts that answer a message, as `Bridge.take_state` takes it, in lists.
-
-        None where that has to be found out: something has changed since the state before.
-        """
+        """Return the efforts (list) that answer a message; None where that has to be found out."""
         bridge = self._bridge
         if not (self._outlook and bridge.supervisor.active
                 and self._changes == self._follower.changes and self._torque is bridge.torque

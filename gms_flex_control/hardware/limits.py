@@ -16,11 +16,7 @@ _SHORTEST = 0.01          # a step of the angle is judged as if it took at least
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
-    """
-    Limits of each joint, arrays (n_joints,); `UNLIMITED` where absent.
-
-    Raises ParameterError if a limit is out of range or not finite, or the range of a joint empty.
-    """
+    """Limits of each joint (n_joints,), `UNLIMITED` where absent; ParameterError if impossible."""
 
     torque: np.ndarray = number('largest torque given to the robot', 'N m', UNLIMITED, 0.0,
                                 UNLIMITED)
@@ -113,11 +109,7 @@ def is_within(now, before, elapsed, least, most, fastest, torsion) -> bool:
 
 
 def violation(names, measured, limits) -> str:
-    """
-    Return a sentence about the first joint beyond its margins; '' if none is.
-
-    ``measured`` has ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n_joints,) [rad, rad/s].
-    """
+    """Return a sentence about the first joint ``measured`` beyond its margins; '' if none is."""
     q, torsion = measured.q_link, measured.q_motor - measured.q_link
     above = q > limits.upper + limits.position_margin
     below = q < limits.lower - limits.position_margin
@@ -140,11 +132,7 @@ def violation(names, measured, limits) -> str:
 
 
 def jump(names, measured, before, elapsed, limits) -> str:
-    """
-    Return a sentence about the first angle that no joint can have come by; '' if all can.
-
-    ``before`` are ``q_link`` and ``q_motor`` [rad] of the state ``elapsed`` [s] earlier.
-    """
+    """Return a sentence on the first angle no joint can come to from ``before``; '' if all can."""
     fastest = (limits.velocity + limits.velocity_margin) * max(elapsed, _SHORTEST)
     for what, q, q_before in (('', measured.q_link, before[0]),
                               ('the motor of ', measured.q_motor, before[1])):

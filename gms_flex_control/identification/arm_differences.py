@@ -85,12 +85,7 @@ class Differences(NamedTuple):
     coupled: Coupled | None  # None where each motor turns with its joint alone
 
     def cleared(self, segment: Segment, recording: int) -> Segment:
-        """
-        Return a segment of a recording as it were with true torques in the first recording.
-
-        That is with its encoder zeros, offsets and temperature. Of a recording that was not
-        fitted, only the scale of torques is known.
-        """
+        """Return a segment with true torques, encoders and temperature as in the first one."""
         beyond = 0.0 if self.coupled is None else self.coupled.torque(segment)
         if recording >= len(self.zero):
             return replace(segment, torque=segment.torque / self.scale - beyond)

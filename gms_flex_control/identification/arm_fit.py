@@ -94,11 +94,7 @@ class ArmFit(NamedTuple):
 
 
 def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
-    """
-    Estimate the arm of recordings with joints in the robot's order.
-
-    Of the robot kind, and lengths and frames of a chain, are relied on.
-    """
+    """Estimate the arm of recordings; the robot's kind, lengths and frames are relied on."""
     n = robot.n_joints
     motors = tuple(fit_motor(recordings, j) if _two_sided(recordings, j) else None
                    for j in range(n))
@@ -219,12 +215,7 @@ def axis_of(arm: ArmParams, joint: int) -> tuple:
 
 def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence,
            spreads: Sequence) -> RobotParams:
-    """
-    Return the robot with the corrections that were fitted along with friction.
-
-    ``thetas`` are the parameters of each joint, corrections last, ``spreads`` of their free
-    numbers.
-    """
+    """Return the robot with corrections fitted along with friction, the last of ``thetas``."""
     arm, effects = robot.arm, []
     for j, theta in enumerate(thetas):
         inertia, cosine, sine, constant = _axis_numbers(arm, arm_fit, j, theta)

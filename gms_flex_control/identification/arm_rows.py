@@ -65,12 +65,7 @@ class Rows(NamedTuple):
 
 
 def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None) -> tuple:
-    """
-    Return the Rows of recordings, ``slopes_of`` the arms of the slopes, and usual rates.
-
-    ``friction`` Segment, joints, period -> (T, n) [N m] is subtracted from the torque.
-    Raises IdentificationError where the low-pass leaves nothing of a recording.
-    """
+    """Return Rows of recordings, ``friction`` (T, n) subtracted, and usual rates; or a refusal."""
     cut = [(r, segment) for r, recording in enumerate(recordings)
            for segment in segments_of(recording, robot, sides)]
     if friction:

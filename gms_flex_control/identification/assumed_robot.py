@@ -44,11 +44,7 @@ _CLEARINGS = 3        # of a motion from errors of its encoders
 
 
 def rigid_joints(names: Sequence[str]) -> RobotParams:
-    """
-    Return a robot of decoupled rigid axes of these names.
-
-    Of unit inertia and friction; `--estimate all` replaces them.
-    """
+    """Return a robot of decoupled rigid axes of these names, of unit inertia and friction."""
     n = len(names)
     one, zero = np.ones(n), np.zeros(n)
     steady = StribeckParams(static=one, coulomb=one, velocity=one, viscous=zero)
@@ -79,11 +75,7 @@ def with_load_friction(robot: RobotParams, per_load: np.ndarray,
 
 
 def only_joints(robot: RobotParams, joints: Sequence[str]) -> RobotParams:
-    """
-    Return a decoupled robot with some of its joints, in this order.
-
-    Raises IdentificationError if a joint is not the robot's, or the joints act on each other.
-    """
+    """Return a decoupled robot with some of its joints; IdentificationError if that cannot be."""
     unknown = [joint for joint in joints if joint not in robot.joints]
     if unknown:
         raise IdentificationError(f'--joints {unknown[0]}: the robot has '
@@ -184,11 +176,7 @@ def at_own_rate(recording: Recording) -> Recording:
 
 
 def cleared(recording: Recording, robot: RobotParams) -> Recording:
-    """
-    Return a recording, joints in the robot's order, without the known errors of encoders.
-
-    Errors are functions of the true motion, which is the measured one less these errors.
-    """
+    """Return a recording in the robot's joint order, without the known errors of its encoders."""
     sensors = [spec for spec in robot.effects if find(spec.name).stage == Stage.SENSOR]
     if not sensors:
         return recording

@@ -117,12 +117,7 @@ class Ripple(NamedTuple):
 
 
 def filtered(recordings: Sequence, signals_of: Callable) -> Generator[tuple]:
-    """
-    Yield the Derivatives of signals of each recording, and numbers of blocks of time (S,).
-
-    ``signals_of`` Recording -> angles, which set the window of the filter, and others. None of a
-    recording that is too short.
-    """
+    """Yield Derivatives of angles and others of each recording, and blocks of time (S,)."""
     used = 0
     for recording in recordings:
         angles, others = signals_of(recording)
@@ -160,11 +155,7 @@ def spring_torque(joint: int, stiffness: float, damping=0.0) -> Callable:
 
 
 def friction_regressors(rate: np.ndarray, usual: float | None = None) -> np.ndarray:
-    """
-    Return columns (S, 8) of friction, each direction for itself.
-
-    ``usual`` is the rate to whose parts the low-speed columns fade, by default the rms.
-    """
+    """Return columns of friction (S, 8), by direction; low-speed ones fade by ``usual`` (rms)."""
     usual = float(np.sqrt(np.mean(rate ** 2))) if usual is None else usual
     columns = []
     for sign in (1.0, -1.0):
@@ -286,11 +277,7 @@ def _levels(friction, rate):
 
 def fit_axis_with_ripple(recordings: Sequence, rows: Rows, joint: int, name: str,
                          source: str, turns: bool = True) -> tuple:
-    """
-    Return the AxisFit with the largest ripple that these data show, and the Ripple.
-
-    None for the Ripple where none helps on data held out. Otherwise as `fit_axis`.
-    """
+    """Return `fit_axis` with its largest Ripple, and that, None where none helps held-out data."""
     axis, span = fit_axis(rows, name, source, turns=turns), float(np.ptp(rows.angle))
     orders = standing_out([rows.angle], [axis.left], [rows.rate],
                           2.0 * np.pi * FEWEST_WAVES / max(span, 1e-300))

@@ -120,11 +120,7 @@ def spring_fit(tau, acceleration, torsion) -> tuple[float, float]:
 
 
 def balance_fit(motion: Motion, tau, total, j: int) -> tuple[Fit, Fit] | None:
-    """
-    Return fits of a torque (S,) by rigid-body torque (S, n) and friction of joint j.
-
-    In the second gravity is free as well; None where the joint moves too little.
-    """
+    """Return fits of a torque (S,) by bodies and friction, gravity fixed and free, or None."""
     rows = is_moving(motion.dq_link[:, j])
     if rows.sum() < limits.FEWEST_ROWS:
         return None

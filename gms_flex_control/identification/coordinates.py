@@ -63,12 +63,7 @@ class Coordinates:
 
     def pack(self, static, coulomb, velocity, viscous, attraction, yields, weights=None,
              extra=()) -> np.ndarray:
-        """
-        Return the free numbers (size,) of given parameters.
-
-        The steady ones are (2,), forward and backward; yields and weights (n_blocks,) are not
-        used where they are fixed.
-        """
+        """Return the free numbers (size,) of steady (2,) parameters, yields and weights (N,)."""
         free = np.zeros(self.size)
         drop = np.maximum(np.subtract(static, coulomb), 1e-3 * np.asarray(coulomb))
         for k in range(2):

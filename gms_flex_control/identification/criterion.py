@@ -85,11 +85,7 @@ class _Squares(NamedTuple):
 
 
 def choose_fit(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float) -> Choice:
-    """
-    Return the Choice of one joint: none that is worse than the simple one in either error.
-
-    ``fits`` are those of all joints by the innovations, ``step`` the encoder step or noise [rad].
-    """
+    """Return the Choice of a joint: none that is worse than the simple one in either error."""
     criteria = _criteria_of(bundle, joint, fits, step)
     usual = criteria.wins(criteria.by_innovations)
     if usual and criteria.explained():

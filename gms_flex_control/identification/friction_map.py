@@ -73,11 +73,7 @@ def friction_torque(segment: Segment, arm: ArmParams) -> np.ndarray:
 
 def friction_map(segments: Sequence[Segment], arm: ArmParams, joint: int, period: float,
                  half: float) -> FrictionMap:
-    """
-    Return the friction of one joint in short windows of motion in one direction.
-
-    Of a quarter second, or shorter where the motion turns around too often for them.
-    """
+    """Return the friction of one joint in windows of a quarter second, or less, one way each."""
     def enough(found):
         return [np.sum(way * found.velocity > 0.0) >= _FEWEST_WINDOWS for way in (1.0, -1.0)]
     size = max(round(_WINDOW / period), _SHORTEST)
@@ -100,11 +96,7 @@ def _in_windows(segments, arm, joint, period, half, size):
 
 
 def _windows(segment, arm, joint, period, half, size, chosen):
-    """
-    Return mean rate, mean friction and whether it is steady, (W, 3), of windows of a Segment.
-
-    And in which (W,) all samples are ``chosen`` and the joint moves one way, far enough.
-    """
+    """Return (W, 3) mean rate, friction, steadiness of windows, and which (W,) are of use."""
     count = len(segment.rate) // size
     cut = slice(0, count * size)
     rates, torque, angle, chosen = (values[cut].reshape(count, size) for values in (
@@ -237,11 +229,7 @@ def _steady_rows(friction_map, sign):
 
 def repeatability(segments: Sequence[Segment], arm: ArmParams, joint: int, period: float,
                   half: float) -> float:
-    """
-    Return the standard deviation of friction among strokes of equal velocity [N m].
-
-    NaN without any. ``period`` and ``half`` are those of `friction_map`.
-    """
+    """Return the deviation of friction among strokes of equal velocity [N m], NaN without any."""
     size, groups = max(round(0.5 * _WINDOW / period), _SHORTEST), {}
     for segment in segments:
         steady = segment.tested[:, joint] & (segment.phase == 'constant_velocity')

@@ -314,11 +314,7 @@ def with_parameters(arm: ArmParams, links: np.ndarray) -> ArmParams:
 
 
 def body_of(parameters: np.ndarray) -> Body:
-    """
-    Return the body nearest to ten numbers, of which inertias may be hardly known.
-
-    Mass and centre of mass are as they are; second moments about it are at least next to none.
-    """
+    """Return the body nearest to ten numbers: mass and centre kept, second moments feasible."""
     mass, com = parameters[0], parameters[1:4] / parameters[0]
     second = _pseudo_inertia(parameters)[:3, :3] - mass * np.outer(com, com)
     return Body(float(mass), com, inertia_of(second, POINT * mass))

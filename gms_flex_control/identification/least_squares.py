@@ -123,12 +123,7 @@ def summed(evaluation: Evaluation, free, prior: Prior) -> tuple[np.ndarray, np.n
 
 
 class TorqueError:
-    """
-    Torque that a joint's parameters leave unexplained along the measured motion.
-
-    ``chosen`` Segment -> bool (T,) says which samples count where the joint moves, ``step`` is
-    the encoder step or noise [rad].
-    """
+    """Torque that parameters leave unexplained along the motion of ``chosen`` samples (T,)."""
 
     def __init__(self, objective: Objective, bundle: Bundle, chosen: Callable, step: float):
         self._objective, joint, blocks, used = objective, objective.joint, [], 0

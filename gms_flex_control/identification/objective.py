@@ -167,11 +167,7 @@ class Objective:
 
     def predict(self, segment, theta, directions=None,
                 sharpness=1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """
-        Return the joint's predicted angles and innovations (T,), and their Jacobian (T, P).
-
-        Contiguous arrays only go into the kernel, which is compiled anew for any other layout.
-        """
+        """Return predicted angles, innovations (T,) and their Jacobian (T, P), contiguous."""
         directions = np.zeros((len(theta), 0)) if directions is None else directions
         samples, n, width = len(segment.angle), len(self._moved), directions.shape[1]
         predicted, innovation = np.empty((2, samples, n))
@@ -254,11 +250,7 @@ class Objective:
         return Evaluation(*arrays, floor or self.floor_of(arrays[0]))
 
     def memory(self, coordinates, free, longest: float) -> float:
-        """
-        Return how many samples an innovation remembers, up to ``longest`` [s]; 1 for white noise.
-
-        The sum of its autocorrelation, each block of time at its own scale.
-        """
+        """Return how many samples an innovation remembers, up to ``longest`` [s]; 1: white."""
         theta, directions = coordinates.unpack(free)
         period = self._bundle.period
         lags, length = round(longest / period), block_length(period)

@@ -45,11 +45,7 @@ class Estimate(NamedTuple):
 
 def estimated(name: str, unit: str, value: float, error: float | None = None, note: str = '',
               known: bool = True) -> Estimate:
-    """
-    Return the Estimate of a value with a normal error, ``error`` its standard deviation.
-
-    Without an interval where that is None. Unless ``known`` it is not identifiable.
-    """
+    """Return the Estimate of a value, ``error`` its deviation or None; open unless ``known``."""
     value, half = float(value), np.nan if error is None or not known else CONFIDENT * float(error)
     return Estimate(name, unit, value, Interval(value - half, value + half),
                     () if known else (NOT_IDENTIFIABLE,), note)

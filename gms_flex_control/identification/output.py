@@ -19,7 +19,7 @@ from gms_flex_control.identification.outcome import (
     spread,
     standing,
 )
-from gms_flex_control.params.robot import KINDS
+from gms_flex_control.params.robot import UNCERTAIN
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values, wrapped
 import numpy as np
@@ -122,8 +122,9 @@ def uncertainty_values(identification: Identification) -> dict:
             if not sizes and any(standing(one) in (NOT_IDENTIFIABLE, DOUBTFUL) for one in own):
                 sizes = [np.inf]
             if sizes:
+                usual = UNCERTAIN[kind].sd
                 values[f'uncertainty.{result.joint}.{kind}'] = float(np.clip(
-                    np.median(sizes), _LEAST_TOLD * KINDS[kind].sd, _MOST_TOLD * KINDS[kind].sd))
+                    np.median(sizes), _LEAST_TOLD * usual, _MOST_TOLD * usual))
     return values
 
 
@@ -145,8 +146,8 @@ def _uncertainty_of_arm(identification):
                      one.flags and _is_as_described(identification, kind, j))}
         if identification.spread is not None:
             weight, inertia, motor = identification.spread[:, j]
-            sizes |= {'gravity': min(weight, _MOST_TOLD * KINDS['gravity'].sd),
-                      'inertia': min(inertia, _MOST_TOLD * KINDS['inertia'].sd)}
+            sizes |= {'gravity': min(weight, _MOST_TOLD * UNCERTAIN['gravity'].sd),
+                      'inertia': min(inertia, _MOST_TOLD * UNCERTAIN['inertia'].sd)}
             if arm.rigid[j]:
                 sizes['motor_inertia'] = motor
         elif 'inertia' in sizes and arm.rigid[j]:  # is that of the motor as well
@@ -154,9 +155,9 @@ def _uncertainty_of_arm(identification):
             of_link = found['inertia'].value - motor
             sizes['inertia'] = np.inf if of_link <= 0.0 else np.hypot(
                 sizes['inertia'] * found['inertia'].value,
-                KINDS['motor_inertia'].sd * motor) / of_link
+                UNCERTAIN['motor_inertia'].sd * motor) / of_link
         for kind, size in sizes.items():
-            usual = KINDS[kind].sd
+            usual = UNCERTAIN[kind].sd
             values[f'uncertainty.{result.joint}.{kind}'] = float(max(
                 size if np.isfinite(size) else _MOST_TOLD * usual, _LEAST_TOLD * usual))
     return values

@@ -75,11 +75,7 @@ def simple_free(fit: np.ndarray, displacement: float) -> tuple[Coordinates, np.n
 
 def free_run_error(objective: Objective, bundle: Bundle, theta: np.ndarray,
                    chosen: Callable) -> float:
-    """
-    Return the rms error of the link angle over free simulations of HORIZON [rad].
-
-    A simulation counts if all of its samples are chosen; NaN if no segment is long enough.
-    """
+    """Return the rms error of free simulations of HORIZON of chosen samples [rad]; NaN if none."""
     horizon, stride = round(HORIZON / bundle.period), round(_STRIDE / bundle.period)
     joint, first, total, count = objective.joint, stride, 0.0, 0
     for segment in bundle.segments:
@@ -165,11 +161,7 @@ def traces_of(objective: Objective, bundle: Bundle, theta: np.ndarray, chosen: C
 
 
 def _standing_torque(segment, arm):
-    """
-    Return the torque that friction holds at rest, shape (T, n_joints) [N m].
-
-    In presliding the links' acceleration is lost in the encoders' steps.
-    """
+    """Return the torque friction holds at rest (T, n) [N m], where counts hide acceleration."""
     still = np.zeros_like(segment.rate)
     return segment.torque - inverse_dynamics(np.nan_to_num(segment.angle), still, still, arm)
 

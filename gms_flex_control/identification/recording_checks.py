@@ -352,11 +352,7 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
 
 
 def require(recording: Recording, robot: RobotParams, force=False, rough=False) -> list:
-    """
-    Return the warnings of `check`, with ``force`` all findings.
-
-    Raises IdentificationError with the sentence of the first fault that forbids a fit.
-    """
+    """Return warnings of `check`, with ``force`` all; IdentificationError where a fit is wrong."""
     found = check(recording, robot, rough)
     for finding in found:
         if finding.severity == 'refuse' and not force:

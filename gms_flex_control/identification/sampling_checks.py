@@ -188,11 +188,7 @@ def _within(judged, slopes, fit):
 
 
 def broken(signals: Recording) -> list[Finding]:
-    """
-    Return findings of single samples that cannot be motion.
-
-    Kinds 'jump' (angle) and 'frozen' (samples repeated while the joint moves).
-    """
+    """Return findings of samples that cannot be motion: kinds 'jump' (angle) and 'frozen'."""
     found = []
     for j, joint in enumerate(signals.joints):
         for side, q, _ in sides(signals, j):

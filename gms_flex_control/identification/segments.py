@@ -17,7 +17,7 @@ from gms_flex_control.data.signal_analysis import (
     smoothing_window,
     white_noise_of,
 )
-from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices, matrices
+from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.assumed_robot import effect_torque
 from gms_flex_control.params.arm import ArmParams, carrying
@@ -129,11 +129,7 @@ def _even(time, channels):
 
 
 def rigid_where(robot: RobotParams, sides: Sequence[str]) -> RobotParams:
-    """
-    Return the robot with joints driven by their motor torque made rigid.
-
-    Its arm's M then holds the motor inertia of those joints, Eq. (1) added up.
-    """
+    """Return the robot with joints rigid that their motor torque drives, whose inertia M holds."""
     motor = np.array([side == 'motor' for side in sides])
     arm = replace(robot.arm, stiffness=np.where(motor, np.inf, robot.arm.stiffness))
     names = tuple('' if rigid else name for rigid, name in zip(motor, robot.motors, strict=True))
@@ -255,8 +251,7 @@ def torque_at_samples(segment: Segment) -> np.ndarray:
 
 def own_inertias(arm: ArmParams) -> np.ndarray:
     """Return the diagonal of M with all links in line (n,) [kg m^2]."""
-    still = np.zeros(arm.n_joints)
-    return np.diag(matrices(still, still, still, still, arm).mass)
+    return np.diag(mass_matrices(np.zeros((1, arm.n_joints)), arm)[0])
 
 
 def filled(angle: np.ndarray) -> np.ndarray:
@@ -311,11 +306,7 @@ def _tested(phases, recording, grid, joints):
 
 
 def half_count(recording: Recording, robot: RobotParams) -> np.ndarray:
-    """
-    Return half the step of each link encoder as the data show it (n,) [rad].
-
-    0 where readings do not repeat, so that noise hides the step.
-    """
+    """Return half the step of each link encoder (n,) [rad]; 0 where noise hides it."""
     half = np.zeros(robot.n_joints)
     for j in range(robot.n_joints):
         values = recording.q_link[np.isfinite(recording.q_link[:, j]), j]

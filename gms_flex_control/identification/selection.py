@@ -139,11 +139,7 @@ def _above(costs, best):
 
 
 def fit_joint(bundle: Bundle, joint: int, thetas: Sequence, blocks: Sequence) -> JointFit:
-    """
-    Fit one joint with each number of blocks, the others as they are, and choose among them.
-
-    Numbers that may not be chosen are fitted as well: they show what depends on the number.
-    """
+    """Fit one joint with each number of blocks, chosen or shown only, and choose among them."""
     fits = [_fit_candidate(bundle, joint, thetas, n)
             for n in sorted({*blocks, *CANDIDATES})]
     return _unsearched(*choose(bundle, joint, thetas, fits, blocks))._replace(fits=tuple(fits))

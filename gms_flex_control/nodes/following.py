@@ -161,12 +161,7 @@ class Handover:
         self._torque = 0.0                # before [N m]
 
     def begin(self, stamp, motion, reference, torque=0.0) -> None:
-        """
-        Begin at the joint state of ``stamp`` [ns] to go to ``reference`` (5, n).
-
-        From a ``motion`` (2, n), angles and rates; at once if the reference is near. And from a
-        ``torque`` [N m], (n,) or one.
-        """
+        """Go to ``reference`` (5, n) from ``motion`` (2, n) and ``torque``, at once if near."""
         self._way = self.left = None
         self._share, self._seen, self._torque = 0.0, stamp, torque
         offset = -reference
@@ -201,11 +196,7 @@ class Handover:
 
 
 class Follower:
-    """
-    The answer to each joint state: the law, its references and what stands against them.
-
-    ``health`` reports it (report, warn); ``values`` are checked parameters.
-    """
+    """The answer to each joint state: the law, its references and what stands against them."""
 
     def __init__(self, robot, gains, values, health):
         self._health, self._lockstep = health, values['mode'] == 'lockstep'
@@ -266,11 +257,7 @@ class Follower:
         self.references.keep(stamp, reference, self.last)
 
     def answer(self, stamp, silent) -> np.ndarray:
-        """
-        Return the torque (n_joints,) [N m] for the state measured, of ``stamp`` [ns].
-
-        ``silent`` is whether zero torque was sent since the last one, no state having come.
-        """
+        """Return the torque (n,) [N m] for a state of ``stamp``; ``silent``: after zeros."""
         self.changes += 1
         elapsed = 0.0 if self.last is None else (stamp - self.last) / NANOSECONDS
         jumped = self.last is not None and not 0.0 < elapsed <= _LONGEST_TICK
@@ -299,11 +286,7 @@ class Follower:
         return self._follow(stamp, reference, elapsed, before)
 
     def outlook(self, sent) -> tuple:
-        """
-        Return what the next answer depends on, where the law gives it; () else.
-
-        ``sent`` (n_joints,) is the command before; see `hardware.foresight.answer`.
-        """
+        """Return what the next answer depends on, after a command ``sent``; () without law."""
         motions = self.references.motions()
         if (not motions or not self.follows or self._begins or not self.handover.is_over
                 or self.references.phase != FOLLOWING):

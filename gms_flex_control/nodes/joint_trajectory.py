@@ -88,12 +88,7 @@ class Goal(NamedTuple):
     allowance: int        # how much later than the last point it may be reached [ns]; 0: any time
 
     def verdict(self, joints, error, late) -> tuple | None:
-        """
-        Return code and sentence once the goal is over; None while it goes on.
-
-        ``error`` (2, n_joints) is actual minus desired, ``late`` the time since the last point,
-        negative before it [ns].
-        """
+        """Return code and sentence once the goal is over, by ``error`` (2, n), ``late`` [ns]."""
         if late < 0:
             broken = _broken(self.path, joints, error)
             return (PATH_TOLERANCE_VIOLATED, f'path tolerance: {broken}') if broken else None

@@ -42,12 +42,7 @@ def config(name) -> PathJoinSubstitution:
 
 
 def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority='0') -> list:
-    """
-    Return the arguments that every launch file has (list of DeclareLaunchArgument).
-
-    Their defaults, where launch files differ, are str or substitutions; that of ``controller`` is
-    a file of ``config``.
-    """
+    """Return the arguments of every launch file; their defaults, where files differ, are given."""
     return [
         DeclareLaunchArgument('robot', default_value=config('robot.yaml'),
                               description='Parameter file of the robot'),

@@ -13,12 +13,7 @@ from rclpy.time import Time
 
 
 class LoopNode:
-    """
-    The three nodes of the loop, with their names, parameters, topics and services.
-
-    Each joint state is answered in the thread that publishes it, before that goes on; callbacks
-    of others run in a second thread.
-    """
+    """The nodes of the loop; a state is answered at once by the thread that publishes it."""
 
     def __init__(self):
         process.refuse_own_messages()

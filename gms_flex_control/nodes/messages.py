@@ -66,11 +66,7 @@ def _some(names):
 
 
 def order_of(wanted, names, what='joint states') -> list:
-    """
-    Return where each of the ``wanted`` joints stands among ``names`` of ``what``.
-
-    Raises JointsError if one is missing or stands there twice; other names do not matter.
-    """
+    """Return where the ``wanted`` stand among ``names`` of ``what``; JointsError if not once."""
     order = []
     for name in wanted:
         count = names.count(name)
@@ -196,11 +192,7 @@ def _mark(label=''):
 
 
 class ArrayWriter:
-    """
-    Fill one reused Float64MultiArray whose layout says its stamp and, if given, its source.
-
-    ``dimensions`` are pairs of label and size, the last one varies fastest.
-    """
+    """Fill one reused Float64MultiArray of ``dimensions`` (label, size), stamp and ``source``."""
 
     def __init__(self, *dimensions, source=''):
         self._stamp, self._numbers = _mark(), ()

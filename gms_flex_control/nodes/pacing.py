@@ -112,11 +112,7 @@ class Paced:
             self._health.warn('late', f'{self._lateness}: {LATE}, or simulate with mode:=lockstep')
 
     def _follow_clock(self, early):
-        """
-        Let the stamp of the sample that ends in ``early`` ns be near the clock.
-
-        Return how many samples are left out.
-        """
+        """Keep the stamp that is due in ``early`` ns near the clock; return samples left out."""
         arm = self._arm
         behind = now(self._node).nanoseconds + early - arm.stamp - arm.period
         if abs(behind) <= _LATEST_START * arm.period:

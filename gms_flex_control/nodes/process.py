@@ -214,11 +214,7 @@ def _refuse(error):
 
 @contextmanager
 def hidden_node(purpose) -> Iterator:
-    """
-    Join the ROS graph with a node that lists leave out; yield it and its executor.
-
-    It interrupts nobody.
-    """
+    """Yield a node that lists leave out and its executor; it interrupts nobody."""
     with interrupting_nobody(), _initialized():
         node = rclpy.create_node(f'_gms_flex_{purpose}_{time.time_ns() % 10**9}',
                                  enable_rosout=False, start_parameter_services=False)
@@ -268,11 +264,7 @@ class BackgroundSpin:
 
 
 def end_with_launch() -> None:
-    """
-    Let this process get SIGTERM when the launch that started it has ended (Linux).
-
-    A launch that fails half-way, or is killed, leaves what it has started without an end.
-    """
+    """Let this process get SIGTERM when the launch that started it has ended or died (Linux)."""
     if LAUNCHED in os.environ:
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
@@ -309,11 +301,7 @@ def avoid_shared_memory() -> None:
 
 
 def refuse_own_messages() -> None:
-    """
-    Make sure that the nodes of this process do not hear each other through DDS as well.
-
-    Raises ConfigError where the middleware, or a profile of the user's, lets them.
-    """
+    """Raise ConfigError if nodes of this process would hear each other through DDS as well."""
     if not _is_fast_dds():
         raise ConfigError('loop_node needs RMW_IMPLEMENTATION=rmw_fastrtps_cpp, got '
                           f'{rclpy.get_rmw_implementation_identifier()}; start plant_node, '

@@ -31,12 +31,7 @@ _WHO = {STATES: 'joint states', 'effort_controller/commands': 'commands of the c
 
 
 class Recorder:
-    """
-    Subscribe to topics as they appear and hand their raw messages to a bag.
-
-    ``topics`` are what to record, None every topic that is not hidden; ``say`` is called with a
-    sentence when something happens.
-    """
+    """Hands raw messages of ``topics`` (None: all not hidden) to a bag; ``say`` hears of it."""
 
     def __init__(self, node, writer, topics=None, say=print):
         self._node, self._writer, self._say = node, writer, say
@@ -146,11 +141,7 @@ class Recorder:
 
 
 class ExperimentBag:
-    """
-    A bag of the loop's topics and of what the node itself says of them (``own``, its publisher).
-
-    Use it in a ``with`` statement, which begins its ``recorder``; ``say`` as of Recorder.
-    """
+    """A bag of the loop's topics and of ``own``, the node's publisher; enter it to record."""
 
     def __init__(self, node, path, own, say):
         self._writer = BagWriter(path)

@@ -16,12 +16,7 @@ _REOPEN_PERIOD, _READ_TIMEOUT = 0.5, 0.05  # [s]
 
 
 class TopicLink:
-    """
-    A robot that publishes JointState and takes efforts, as ros2_control has it.
-
-    ``robot``, a BridgedRobot, takes the joint states; ``names`` are those of the actuators in the
-    order of the efforts; ``boxes`` the Inboxes of the node.
-    """
+    """A robot of JointState and effort topics, as ros2_control's; ``names`` of its actuators."""
 
     errors = ()
 

@@ -35,12 +35,7 @@ _SILENCE = 5.0   # without a joint state: the robot has stopped talking [s]
 
 
 class Watch:
-    """
-    Follow the joint states of an IdentificationPlan's joints, and its limits once asked to.
-
-    ``stamp`` [ns], ``samples`` (how many) and ``q_link`` (n_joints,) [rad], NaN before the first,
-    are those of the last state; ``fault`` is the sentence about the first limit passed, or None.
-    """
+    """Follows joint states and limits of a plan: ``stamp``, ``samples``, ``q_link``, ``fault``."""
 
     def __init__(self, plan):
         self._plan = plan

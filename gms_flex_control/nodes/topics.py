@@ -95,11 +95,7 @@ class Outlet:
 
 
 def all_waiting(subscription, most) -> Iterator:
-    """
-    Yield the raw messages (bytes) that wait, ``most`` of them at most.
-
-    The executor still counts an event for each of them and finds nothing then, which is cheap.
-    """
+    """Yield the raw messages (bytes) that wait, ``most`` at most; their events find nothing."""
     take, kind = subscription.handle.take_message, subscription.msg_type
     for _ in range(most):
         taken = take(kind, True)
@@ -223,11 +219,7 @@ class Serialized:
 
 
 class Deserialized:
-    """
-    Messages of a kind from their bytes: one for all that differ in stamp and numbers only.
-
-    Whoever takes it keeps nothing of it.
-    """
+    """Messages of a kind from bytes, one reused for all that differ in stamp and numbers only."""
 
     def __init__(self, kind=JointState):
         self._kind, self._message, self._size = kind, None, None

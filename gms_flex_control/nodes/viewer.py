@@ -48,11 +48,7 @@ class ViewError(GmsFlexError):
 
 
 class LiveView:
-    """
-    The loop in a ``namespace``, heard and asked by nodes in threads of their own.
-
-    ``controller`` is the full name of the controller node.
-    """
+    """The loop in a ``namespace`` with a ``controller`` node, heard and asked in threads."""
 
     live = True
 
@@ -160,23 +156,13 @@ class LiveView:
         return self._answered(self._remote.describe(_TUNABLE))
 
     def set_parameter(self, name, value) -> dict:
-        """
-        Set a parameter below ``gains``, or ``compensation``.
-
-        Return a dict of ``accepted``, ``reason`` and the ``value`` that holds from now on. Raises
-        ViewError if the node does not answer in time, or it is no parameter of these.
-        """
+        """Set one of `_TUNABLE`; return accepted, reason and value, or ViewError."""
         if name.split('.')[0] not in _TUNABLE:
             raise ViewError(f'{name[:80]} cannot be set here, only gains and compensation')
         return self._answered(self._remote.change(name, value))
 
     def call(self, name) -> dict:
-        """
-        Ask plant or trajectory for what is in `_REQUESTS`, such as ``emergency_stop``.
-
-        Return a dict of ``success`` and ``message``, as the node answers. Raises ViewError if it
-        does not answer in time, or there is no such request.
-        """
+        """Ask for one of `_REQUESTS`; return success and message, or ViewError."""
         if name not in _REQUESTS:
             raise ViewError(f'{name[:80]} cannot be asked for here, only {", ".join(_REQUESTS)}')
         answer = answer_of(self._services[name], Trigger.Request(), self._todo.append)

@@ -19,7 +19,7 @@ from gms_flex_control.params.key import (
 )
 import numpy as np
 
-KINDS = ('planar', 'decoupled', 'urdf')
+ARM_KINDS = ('planar', 'decoupled', 'urdf')
 AXES = ('rotary', 'linear')
 STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
 # of linear axes in what is printed
@@ -72,7 +72,7 @@ class ArmParams:
     no inertia.
     """
 
-    kind: str  # of KINDS: links in one plane, axes that do not act on each other, chain in space
+    kind: str  # of ARM_KINDS: links in one plane, uncoupled axes, a chain in space
     mass: np.ndarray = number('mass of the link', 'kg', 0.0, 0.0)
     length: np.ndarray = number('distance to the next joint', 'm', 0.0, 0.0)
     com: np.ndarray = number('centre of mass from the joint', 'm', 0.0)
@@ -91,8 +91,9 @@ class ArmParams:
     frames: Frames | None = None  # of a chain in space
 
     def __post_init__(self):
-        if self.kind not in KINDS:
-            raise ParameterError(f"arm.kind must be one of {', '.join(KINDS)}, got {self.kind!r}")
+        if self.kind not in ARM_KINDS:
+            raise ParameterError(
+                f"arm.kind must be one of {', '.join(ARM_KINDS)}, got {self.kind!r}")
         if self.axes not in AXES:
             raise ParameterError(f"arm.axes must be one of {', '.join(AXES)}, got {self.axes!r}")
         if self.axes == 'linear' and self.kind != 'decoupled':
@@ -190,11 +191,7 @@ def in_space(arm: ArmParams) -> ArmParams:
 
 
 def require_body(name: str, mass: float, inertia: np.ndarray) -> None:
-    """
-    Raise ParameterError unless a body can have this mass [kg] and inertia (3, 3) [kg m^2].
-
-    The inertia is about the centre of mass; ``name`` begins the sentence.
-    """
+    """Raise ParameterError unless a body ``name`` can have this mass, central inertia (3, 3)."""
     if not mass > 0.0:
         raise ParameterError(f'{name} has mass {mass:g} kg: give a mass above 0')
     moments = np.linalg.eigvalsh(inertia)
@@ -229,11 +226,7 @@ def _with_moments(name, moments):
 
 
 def inertia_of(second: np.ndarray, least: float) -> np.ndarray:
-    """
-    Return an inertia (3, 3) [kg m^2] from second moments (3, 3) about the same place.
-
-    No principal second moment is taken below ``least``: a body has none below 0.
-    """
+    """Return an inertia (3, 3) [kg m^2] from second moments (3, 3), none taken below ``least``."""
     size, axes = np.linalg.eigh(second)
     second = (axes * np.maximum(size, least)) @ axes.T
     return np.trace(second) * np.eye(3) - second

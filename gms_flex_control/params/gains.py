@@ -15,11 +15,7 @@ COMPENSATIONS = ('none', 'gms_paper', 'gms', 'stribeck', 'lugre', 'gms_desired',
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControllerParams:
-    """
-    Gains per joint, each (n_joints,), and the kind of friction compensation.
-
-    ParameterError if a gain is not finite or has the wrong sign, or the compensation is unknown.
-    """
+    """Gains (n_joints,) each, and the compensation; ParameterError if one is impossible."""
 
     compensation: str  # one of COMPENSATIONS
     kd_link: np.ndarray = number('K_D1 of the link law', 'N m s/rad', lower=0.0, upper=1e9,

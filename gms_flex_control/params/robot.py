@@ -25,11 +25,7 @@ WEIGHT_TOLERANCE = 1e-6  # of the sum of a joint's weights
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StribeckParams:
-    """
-    Steady-state friction in one direction of motion, each (n_joints,) (Eq. 4 and Table 1).
-
-    ParameterError if a value is not finite, out of range, or static lies below coulomb.
-    """
+    """Steady friction one way (n_joints,), Eq. (4) and Table 1; ParameterError if impossible."""
 
     static: np.ndarray = number('static friction F_s', 'N m', lower=SMALLEST)
     coulomb: np.ndarray = number('Coulomb friction F_c', 'N m', lower=SMALLEST)
@@ -131,7 +127,7 @@ class Kind(NamedTuple):
 
 
 # data sheets and weighing for masses and springs, repeated identification for friction
-KINDS = {
+UNCERTAIN = {
     'inertia': Kind(0.015, 'inertia of the link, or coupling of the arm (under arm)'),
     'gravity': Kind(0.015, 'mass moment of the link under gravity'),
     'stiffness': Kind(0.015, 'stiffness of the spring'),
@@ -173,11 +169,7 @@ class EffectSpec:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotParams:
-    """
-    Everything the model knows of one robot.
-
-    ParameterError if names repeat, or numbers of joints differ.
-    """
+    """Everything the model knows of a robot; ParameterError if names repeat or numbers differ."""
 
     joints: tuple            # names of the link sides
     motors: tuple            # names of the motor sides; '' where the joint is rigid
@@ -185,7 +177,7 @@ class RobotParams:
     friction: FrictionParams
     encoder: EncoderParams
     effects: tuple = ()      # of EffectSpec
-    # relative standard deviation of (one of KINDS, joint or 'arm') where it is not the usual one
+    # relative standard deviation of (of UNCERTAIN, joint or 'arm') where it is not the usual one
     uncertainty: Mapping = field(default_factory=dict)
 
     def __post_init__(self):
@@ -215,6 +207,6 @@ class RobotParams:
 
 
 def known_to(robot: RobotParams, kind: str) -> np.ndarray:
-    """Return the relative standard deviation of one of KINDS for each joint (n,)."""
-    return np.array([robot.uncertainty.get((kind, joint), KINDS[kind].sd)
+    """Return the relative standard deviation of one of UNCERTAIN for each joint (n,)."""
+    return np.array([robot.uncertainty.get((kind, joint), UNCERTAIN[kind].sd)
                      for joint in robot.joints])

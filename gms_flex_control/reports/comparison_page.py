@@ -89,12 +89,7 @@ def _least(error):
 
 
 def plant_page(rows, outcomes, setting, source) -> Report:
-    """
-    Return the page of a comparison in simulation.
-
-    ``rows`` (study.table) and ``outcomes`` by the keys of its cells were found with ``setting``
-    (Setting); ``source`` are the robot files, none for the arm of the paper.
-    """
+    """Return the page of rows and outcomes of a Setting, of robot files ``source``, if any."""
     robot, answer = setting.robot, plant_answer(rows, outcomes, source)
     page = Report('Friction compensations compared', answer,
                   f'{", ".join(source) or "the arm of the paper"}, {setting.rate:g} Hz, sinusoid '

@@ -29,12 +29,7 @@ MOST_JOINTS = 3       # with maps and courses of their residual: those farthest 
 
 
 def write_discrepancy_report(result, folder, *, holdout=(), models=()) -> list:
-    """
-    Write report.html and the PNGs of a Discrepancy to a folder; return the paths, the page first.
-
-    Free runs are shown on the first of ``holdout`` (Recordings that took no part); ``models``
-    (Compared) are listed beside it.
-    """
+    """Write report.html and PNGs of a Discrepancy; return the paths, the page first."""
     folder = Path(folder)
     report = Report(TITLES[result.verdict], discrepancy_answer(result, folder),
                     ', '.join(result.data.sources), units_of(result))
@@ -52,11 +47,7 @@ def units_of(result) -> Callable:
 
 
 def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=False) -> list:
-    """
-    Add everything about a discrepancy to a Report, and write the PNGs; return their paths.
-
-    Its picture comes first, unless the page is ``opened``: it then has one, and all of this folds.
-    """
+    """Add a discrepancy to a Report, picture first unless ``opened``; return the PNGs written."""
     pictures = []
 
     def picture(figure, name):

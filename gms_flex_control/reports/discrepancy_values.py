@@ -15,12 +15,7 @@ _OF_GAP = (*_TORQUES, 'rest_before', 'rest_after', 'free_before', 'free_after', 
 
 
 def report_values(result, *, holdout=(), models=()) -> dict:
-    """
-    Return a Discrepancy as plain data for JSON, without the search behind it, in SI units.
-
-    ``holdout`` names the recordings the gap was measured on, if not on blocks held out; ``models``
-    are Compared beside it.
-    """
+    """Return a Discrepancy as plain data for JSON, in SI units, ``models`` Compared beside it."""
     joints = result.gap.joints if result.gap is not None else ()
     return plain({
         'format': REPORT_FORMAT, 'version': __version__, 'verdict': result.verdict,

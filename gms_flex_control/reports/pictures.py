@@ -27,11 +27,7 @@ GIVEN, BEFORE, AFTER, FLOOR, OWN = '0.65', COLOURS[1], COLOURS[0], '0.35', COLOU
 
 
 def map_figure(result) -> Figure:
-    """
-    Return friction over velocity of a JointResult with the fitted Stribeck curves (Fig. 3).
-
-    They are dashed beyond the steady velocities of the data.
-    """
+    """Return friction over velocity of a JointResult, fits dashed beyond the data (Fig. 3)."""
     figure, (linear, log) = side_by_side(2)
     measured, fit = result.friction_map, result.steady_velocity
     for sign, name, colour in DIRECTIONS:

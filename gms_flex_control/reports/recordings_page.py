@@ -25,11 +25,7 @@ _LOOKS = {'none': (1, '-'), 'gms_paper': (2, '-.'), 'gms': (0, '-')}  # colour a
 @written_together()
 def write_tracking_report(runs, folder, title='Tracking report', *, subtitle=None, beside=None
                           ) -> Table4:
-    """
-    Write table4.json, report.html and the PNGs of runs (Run) to a folder; return the Table4.
-
-    ``beside`` are further runs of which only the table is given, under their name.
-    """
+    """Write table4.json, report.html, PNGs of runs, ``beside`` others by name; return Table4."""
     folder = Path(folder)
     table = table4(runs)
     others = {name: table4(some) for name, some in (beside or {}).items()}
@@ -182,11 +178,7 @@ _BLOCK_SYMBOLS = {'stiffness': 'k', 'weight': 'α'}
 
 
 def write_identification_report(identification, folder, *, robot=()) -> list:
-    """
-    Write report.html and the PNGs to a folder; return their paths, the page first.
-
-    ``robot`` are the files of the robot that was believed.
-    """
+    """Write report.html and PNGs; return their paths, the page first; ``robot`` are its files."""
     folder, words = Path(folder), identification.in_units
     answer = identification_answer(identification, folder, robot)
     report = Report('Friction identification', answer, outcome.data_sentence(identification),

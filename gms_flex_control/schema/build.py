@@ -338,12 +338,7 @@ def _reading(flat, prefix, name):
 
 
 def trajectory_from_values(values: dict, joints) -> Trajectory:
-    """
-    Return the Trajectory chosen by ``trajectory.type``, its own time beginning at 0.
-
-    Of schema.keys.trajectory_keys ``values`` may leave out those with a default. ConfigError,
-    which names the type, if they make no trajectory.
-    """
+    """Return the Trajectory of ``trajectory.type``, beginning at 0; ConfigError names the type."""
     values = {key.name: key.default for key in schema.trajectory_keys(joints)} | values
     kind = values['trajectory.type']
     try:

@@ -18,11 +18,7 @@ _COMMENT_WIDTH = 90
 
 
 def read_parameters(path) -> dict:
-    """
-    Read the section ``/**`` of a ROS parameter file: flat name to value and line number (from 1).
-
-    ConfigError if the file cannot be read or is no ROS parameter file.
-    """
+    """Read ``/**`` of a parameter file: flat name to (value, line); ConfigError if it is none."""
     path = Path(path)
     document = checked_yaml(path, ConfigError)
     if not isinstance(document, dict) or not any(
@@ -92,11 +88,7 @@ def load_robot_to_identify(paths) -> RobotParams:
 
 
 def load_limits(paths, joints) -> Limits | None:
-    """
-    Read the Limits of ``joints`` from parameter files, such as ``config/bridge.yaml``.
-
-    Later ones win; None if nothing is limited.
-    """
+    """Read the Limits of ``joints`` from files, later ones winning; None if nothing is limited."""
     def limits(values):
         return limits_from_values({name: value for name, value in values.items()
                                    if name.startswith('limits.')}, joints)
@@ -113,11 +105,7 @@ def load_controller(paths, robot: RobotParams) -> ControllerParams:
 
 
 def save_robot(robot: RobotParams, path, *, comment: str = '') -> None:
-    """
-    Write a robot as a ROS parameter file that nodes and tools read back as it is.
-
-    ``comment`` is the first lines of the file, without the '#'.
-    """
+    """Write a robot as a parameter file that reads back as it is, ``comment`` at its head."""
     save_values(build.robot_values(robot), path, comment=comment)
 
 

@@ -7,7 +7,7 @@ from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.hardware.limits import Limits, UNLIMITED
 from gms_flex_control.hardware.mapping import Reading
-from gms_flex_control.params.arm import ArmParams, AXES, KINDS, STANDARD_GRAVITY
+from gms_flex_control.params.arm import ARM_KINDS, ArmParams, AXES, STANDARD_GRAVITY
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
 from gms_flex_control.params.key import below, Key, keys_of, LARGEST_STATE, SMALLEST
 from gms_flex_control.params.robot import (
@@ -16,9 +16,9 @@ from gms_flex_control.params.robot import (
     LARGEST_SD,
     LEAST_SD,
     StribeckParams,
+    UNCERTAIN,
     WHOLE_ARM,
 )
-from gms_flex_control.params.robot import KINDS as UNCERTAIN
 
 EXPERIMENTS = ('constant_velocity', 'break_away', 'presliding', 'sliding')
 TRAJECTORIES = ('hold', 'sinusoid', 'polynomial', 'via_points', 'velocity_levels',
@@ -241,7 +241,7 @@ _ROBOT = (
     Key('joints', 'names of the link sides, from the base outwards', kind='string_array'),
     Key('motors', "names of the motor sides; '' for a rigid joint", default=()),
     Key('arm.kind', 'chain in a plane, axes without effect on each other, or the chain of a URDF',
-        default='planar', choices=KINDS),
+        default='planar', choices=ARM_KINDS),
     Key('arm.axes', 'whether decoupled axes turn or slide', default='rotary', choices=AXES),
     Key('arm.gravity', 'gravity along -y of the plane; 0 if it is horizontal', 'm/s^2', 0.0),
     Key('arm.gravity_vector', 'gravity x, y, z in the frame of the base, of kind urdf', 'm/s^2',
@@ -278,11 +278,7 @@ def all_keys(joints) -> dict[str, Key]:
 
 
 def _effect_key(name, joints):
-    """
-    Return the key of an effect's parameter, ``effects.<joint>.<effect>.<parameter>``.
-
-    ConfigError names the nearest if joint, effect or parameter is unknown.
-    """
+    """Return the key ``effects.<joint>.<effect>.<parameter>``; ConfigError names the nearest."""
     joint, effect, parameter = _parts(name, _FREE['effects'], joints)
     try:
         kind = registry.find(effect)

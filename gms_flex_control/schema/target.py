@@ -45,15 +45,10 @@ class Target:
 
 
 def export(robot: RobotParams, target: Target, without: Iterable[str] = ()) -> str:
-    """
-    Return a robot as text for a target, without some `PARTS` of the model and effects.
-
-    ConfigError if a name in ``without`` is unknown, or the target cannot express something that
-    is not left out.
-    """
+    """Return a robot as text for a target ``without`` some `PARTS`; ConfigError names others."""
     without = tuple(without)
     for name in without:
-        known = (*PARTS, *registry.names(), *learned.KINDS)
+        known = (*PARTS, *registry.names(), *learned.LEARNED)
         if name not in known:
             raise ConfigError(f'--without {name}: no such part or effect'
                               f'{did_you_mean(name, known)}')
@@ -169,11 +164,7 @@ ROS2_CONTROL = Target(title='ros2_control', write=ros2_control, effects=(Viscous
 
 
 def table(robot: RobotParams) -> str:
-    """
-    Return a robot, effects included, as CSV with the columns `COLUMNS`.
-
-    One row per number; entry k of an array is ``name[k]``.
-    """
+    """Return a robot as CSV of `COLUMNS`, a row per number, ``name[k]`` for entries of arrays."""
     values = robot_values(robot)
     keys = known_keys(values, robot.joints)
     text = io.StringIO()

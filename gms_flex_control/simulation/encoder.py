@@ -71,12 +71,7 @@ def _velocity(velocity, change, rate, started, period, gain):
 
 @compiled
 def measure(state, signals, period, constants) -> None:
-    """
-    Write one sample of all encoders into ``state.output``, with noise from `draw`.
-
-    ``signals`` (n, WIDTH) have the angles that the encoders are given, and their rates, which are
-    read where there is no velocity cut-off.
-    """
+    """Write a sample of all encoders, noise from `draw`, of ``signals`` into ``state.output``."""
     measured, normal, started = state.output, state.normal, state.started[0] > 0.0
     gain = 1.0 - np.exp(-2.0 * np.pi * constants.velocity_cutoff[0] * period)
     for j in range(measured.q_link.shape[0]):

@@ -33,11 +33,7 @@ def parameter_rows(n_blocks, n_extra) -> int:
 
 @compiled
 def begin(angle, rate, torque, period, state, q, dq, friction) -> None:
-    """
-    Start at the first measured angles of (T, n) and ``rate`` (n,).
-
-    The blocks share ``torque`` (n,) as they can.
-    """
+    """Start at the first angles of (T, n), ``rate`` (n,), the blocks sharing ``torque`` (n,)."""
     for j in range(q.shape[0]):
         first = 0
         while first < angle.shape[0] - 1 and np.isnan(angle[first, j]):
@@ -53,11 +49,7 @@ def begin(angle, rate, torque, period, state, q, dq, friction) -> None:
 
 @compiled
 def at_sample(q, dq, period) -> float:
-    """
-    Return the angle at the time of a sample.
-
-    With angles advanced by the new rate, ``q`` runs half a period ahead of ``dq``.
-    """
+    """Return the angle at a sample: ``q`` runs half a period ahead of ``dq``."""
     return q - 0.5 * period * dq
 
 

@@ -78,11 +78,7 @@ def hold(q) -> Trajectory:
 
 
 def via_points(points, move_time, hold_time) -> Trajectory:
-    """
-    Return rest-to-rest moves of degree 9 through ``points`` (m, n_joints) [rad], with holds.
-
-    Each move lasts ``move_time``, each rest, also at the first point, ``hold_time`` [s].
-    """
+    """Return moves of degree 9 of ``move_time`` [s] through points (m, n), and rests between."""
     points = np.atleast_2d(np.asarray(points, dtype=float))
     _positive(move_time=move_time)
     if not hold_time >= 0:
@@ -122,23 +118,14 @@ def through(times, states) -> Trajectory:
 
 
 def polynomial(amplitude, move_time, hold_time, repeats=1) -> Trajectory:
-    """
-    Return the paper's polynomial reference: ``repeats`` times from 0 to an angle and back.
-
-    ``amplitude`` (n_joints,) is the angle of the far rest [rad]; times as of `via_points`.
-    """
+    """Return ``repeats`` moves to ``amplitude`` (n,) [rad] and back; times as of `via_points`."""
     far = np.asarray(amplitude, dtype=float)
     return via_points([np.zeros_like(far), *[far, np.zeros_like(far)] * int(repeats)],
                       move_time, hold_time)
 
 
 def sinusoid(amplitude, period, *, phase=0.0, ramp_time=None) -> Trajectory:
-    """
-    Return ``amplitude sin(2 pi t / period + phase)`` without end, its amplitude ramped in.
-
-    ``amplitude``, ``period`` and ``phase`` are (n_joints,) or a number [rad, s, rad]; the ramp
-    lasts half the longest period by default [s].
-    """
+    """Return ``amplitude sin(2 pi t / period + phase)`` [rad, s], ramped in, without end."""
     amplitude, period, phase = (
         np.atleast_1d(x).astype(float)
         for x in np.broadcast_arrays(np.atleast_1d(amplitude), period, phase))
@@ -181,12 +168,7 @@ def fourier(sine, cosine, period, *, repeats=1, ramp_time=2.0) -> Trajectory:
 
 
 def velocity_levels(velocities, durations, *, settle_time=0.5) -> Trajectory:
-    """
-    Return velocities held one after another between two rests, from angle zero.
-
-    ``velocities`` (m, n_joints) are signed [rad/s], ``durations`` (m,) how long each is held and
-    ``settle_time`` each change of velocity, also from and to rest [s].
-    """
+    """Return velocities (m, n) [rad/s] held ``durations`` (m,), changed in ``settle_time`` [s]."""
     velocities = np.atleast_2d(np.asarray(velocities, dtype=float))
     durations = np.atleast_1d(np.asarray(durations, dtype=float))
     if len(durations) != len(velocities):

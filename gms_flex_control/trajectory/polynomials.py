@@ -18,11 +18,7 @@ _SEGMENTED = ('start', 'scale', 'poly', 'envelope', 'amplitude', 'omega', 'phase
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """
-    A reference for n joints over m segments; the last one goes on without end.
-
-    TrajectoryError if a shape does not fit or the segments are out of order.
-    """
+    """A reference for n joints over m segments, the last endless; TrajectoryError if malformed."""
 
     start: np.ndarray      # (m,) when each segment begins, increasing [s]
     scale: np.ndarray      # (m,) time unit of the segment's polynomials, often its duration [s]

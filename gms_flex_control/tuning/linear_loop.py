@@ -210,12 +210,7 @@ def _encoders(robot, period):
 
 
 def held_input(a, b, timing) -> tuple:
-    """
-    Return a system (a, b) over one sample whose held input comes late.
-
-    phi (N, N) is the transition, gammas (N, n) those of the input computed at this sample, the one
-    before, and so on; at least two.
-    """
+    """Return a system (a, b) over one sample of late input: phi (N, N), two gammas or more."""
     late, rest = divmod(timing.delay, timing.period)
     if timing.period - rest < 1e-9 * timing.period:
         late, rest = late + 1.0, 0.0

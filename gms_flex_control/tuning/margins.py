@@ -61,11 +61,7 @@ def poses(arm) -> list:
 
 
 def open_loop(loop, joint, frequencies) -> np.ndarray:
-    """
-    Return the frequency response L (F,) of one joint's loop, the others closed.
-
-    ``frequencies`` reach up to pi over the period [rad/s]; Nyquist's criterion is that of 1 + L.
-    """
+    """Return the response L (F,) of one joint's loop to ``frequencies`` [rad/s], others closed."""
     others = [i for i in range(loop.b.shape[1]) if i != joint]
     a = loop.a + loop.b[:, others] @ loop.c[others]
     points = np.exp(1j * np.asarray(frequencies) * loop.period)
@@ -106,11 +102,7 @@ def _crossings(loop, joint, grid, response, measure):
 
 
 def delay_margin(robot, model, gains, timing, pose) -> float:
-    """
-    Return the least further delay of all torques at which the loop is unstable [s].
-
-    Infinite beyond 50 samples. The delay is put into the sampled loop, and its poles are computed.
-    """
+    """Return the least further delay [s] of all torques at which the loop is unstable."""
     law = law_of(model, gains, timing, pose)
 
     def stable(extra):
@@ -159,11 +151,7 @@ class Judgement(NamedTuple):
 
 
 def judged(robot, model, gains, timing, *, with_delay=True) -> Judgement:
-    """
-    Judge gains; ``robot`` is the robot as it is, ``model`` what the controller believes.
-
-    Delay margin, ringing and held error only ``with_delay``.
-    """
+    """Judge gains of a ``robot`` by a believed ``model``; delay and rest ``with_delay`` only."""
     found, noises, delays, decays, held = [], [], [], [], []
     levels = np.maximum(robot.friction.forward.static, robot.friction.backward.static)
     for pose in poses(robot.arm):

@@ -266,12 +266,7 @@ def table4(runs) -> Table4:
 
 
 def hold_windows(time, q_ref) -> list[slice]:
-    """
-    Return where one joint is asked to stand still and has had time to settle, list of slice.
-
-    For each part of constant reference (T,) [rad] longer than ``HOLD_SETTLING``: what follows the
-    settling, at most the last ``HOLD_WINDOW`` of it.
-    """
+    """Return slices where a joint stands, settled `HOLD_SETTLING`, at most `HOLD_WINDOW`."""
     windows = []
     for first, last in runs(np.abs(np.diff(q_ref)) <= HOLD_TOLERANCE):
         begin = max(time[first] + HOLD_SETTLING, time[last] - HOLD_WINDOW)

@@ -61,11 +61,7 @@ def with_delay(robot, delay) -> RobotParams:
 
 
 def try_motions(robot, model, gains, timing, amplitude, seed=0) -> Iterator:
-    """
-    Simulate `MOTIONS` of an amplitude (n,) [rad]; yield (motion, Trial, Run) of each.
-
-    ``robot`` is the robot as it is, ``model`` what the controller believes.
-    """
+    """Yield (motion, Trial, Run) of `MOTIONS` of an amplitude (n,) [rad], ``model`` believed."""
     for motion, course in zip(MOTIONS, (builders.sinusoid(amplitude, PERIOD),
                                         builders.polynomial(amplitude, MOVE, HOLD)), strict=True):
         run = loop.run(

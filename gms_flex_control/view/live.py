@@ -19,11 +19,7 @@ _JUMP = 1_000_000_000  # stamps that go back or ahead by more are another run [n
 
 
 class Rows:
-    """
-    The rows of a table, one per joint state, filled as messages come in.
-
-    Joint states closer than ``spacing`` [ns] to the row before make none.
-    """
+    """The rows of a table, one per joint state, ``spacing`` [ns] apart, filled by messages."""
 
     def __init__(self, n, blocks, spacing=1):
         self.names = column_names(n, blocks)
@@ -70,11 +66,7 @@ class Rows:
         return last is None or not 0 <= stamp - last < self._spacing
 
     def put(self, signal, stamp, values) -> None:
-        """
-        Add values of a signal to the row of a stamp [ns], of the newest if it is None.
-
-        One value per joint or block; of a reference its derivatives may follow.
-        """
+        """Add a signal's values to the row of a stamp [ns], of the newest if it is None."""
         stamp = self._newest if stamp is None else stamp
         if signal == 'reference' and stamp is not None:  # stamped ahead of the state it is for
             self._references.append((stamp, list(values)))

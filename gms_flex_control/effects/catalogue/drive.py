@@ -281,11 +281,7 @@ _SLOTS = 32  # commands that can be on their way
 
 
 class InputDelay(Term):
-    """
-    u(t) -> u(t - delay), the mean over the step, exact for held commands.
-
-    Commands that change more often than 30 times within the delay are held that long.
-    """
+    """u(t) -> u(t - delay), the mean over the step, exact for commands held 1/30 delay or more."""
 
     name = 'input_delay'
     words = 'Dead time between the command and the torque'

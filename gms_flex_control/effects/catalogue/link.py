@@ -32,11 +32,7 @@ class LinkInertiaError(Change):
 
 
 class TipPayload(Change):
-    """
-    The last link carries a point mass at its end.
-
-    In space that is the frame ``arm.tip``, or the farthest one that is fixed to the last link.
-    """
+    """The last link carries a point mass at its end; in space at ``arm.tip``, or farthest."""
 
     name = 'tip_payload'
     words = 'Mass carried at the tip'
