@@ -16,7 +16,7 @@ from bench.journal import fingerprint, run_kept
 from gms_flex_control.answer import align
 from gms_flex_control.cli.options import add_verb, option, out_folder, Verb, WORKERS
 from gms_flex_control.compiled import in_one_thread
-from gms_flex_control.design.motions import Candidate, gentlest, random_moves
+from gms_flex_control.design.motions import Candidate, candidates, random_moves
 from gms_flex_control.design.plan import clipped, separate
 from gms_flex_control.design.separation import beliefs_of, keeps
 from gms_flex_control.discrepancy.thresholds import CREDIBLE
@@ -27,6 +27,7 @@ from gms_flex_control.reports.figure_style import save_figure
 from gms_flex_control.reports.pictures import COLOURS, panels_of, WIDTH
 import numpy as np
 
+GENTLE = 4.8          # times the time that limits allow to slow swings
 PERIOD, FIRST = 2e-3, 6.0       # [s]; of the first recording
 FIXED = 'rich', 'random', 'small'  # motions that are compared with designed ones
 TIMES = 5.0, 10.0, 20.0         # of robot time at which the fixed motions are judged [s]
@@ -199,7 +200,9 @@ def _drawn(rng, item, family):
     narrow, grid = rng.random() < NARROW, PERIOD * np.arange(round(FIRST / PERIOD))
     reference, slow = (one.trajectory(robot.joints).sample(grid) for one in (
         Candidate('narrow', '', family.motion) if narrow else random_moves(
-            limits, robot.joints, int(rng.integers(1000, 2000))), gentlest(limits, robot.joints)))
+            limits, robot.joints, int(rng.integers(1000, 2000))), next(
+                one for one in candidates(limits, robot.joints, GENTLE)
+                if one.name == 'slow_swings')))
     bare = truth.simulate(robot, believed, gains, reference, period=PERIOD)
     given = sizes.MAIN[name](rng, sizes.figures_of(robot, bare, PERIOD)[j])
     size = next(iter(given))

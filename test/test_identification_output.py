@@ -4,7 +4,7 @@
 from dataclasses import replace
 import json
 
-from gms_flex_control.file_io import controller_file, robot_file
+from gms_flex_control.file_io import controller_file, robot_file, write_json
 from gms_flex_control.identification.outcome import (
     Estimate,
     estimated,
@@ -18,7 +18,6 @@ from gms_flex_control.identification.output import (
     report_json,
     uncertainty_values,
     write_friction,
-    write_report_json,
 )
 from gms_flex_control.params.robot import UNCERTAIN
 from gms_flex_control.schema.files import load_controller, load_robot, read_parameters
@@ -160,7 +159,7 @@ def test_a_joint_taken_as_rigid_keeps_its_motor_and_spring(tmp_path):
 def test_report_json_is_strictly_valid_and_complete(tmp_path):
     made = edited(identification(), held_out=ERRORS._replace(
         repeatability=np.nan, free_run_rms=np.inf, torque_rms=np.float32(0.5)))
-    write_report_json(made, tmp_path / 'report.json')
+    write_json(tmp_path / 'report.json', report_json(made))
     found = json.loads((tmp_path / 'report.json').read_text('utf-8'), parse_constant=pytest.fail)
     assert found == report_json(made)
     assert (found['duration'], found['sources'], found['warnings']) == (

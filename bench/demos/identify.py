@@ -28,9 +28,9 @@ from gms_flex_control.experiment.driven import (
     START_BOUND,
 )
 from gms_flex_control.experiment.simulated import scaled_friction, simulate
-from gms_flex_control.file_io import controller_file, robot_file
+from gms_flex_control.file_io import controller_file, robot_file, write_json
 from gms_flex_control.identification.identify import identify
-from gms_flex_control.identification.output import write_friction, write_report_json
+from gms_flex_control.identification.output import report_json, write_friction
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.recordings_page import write_identification_report
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot
@@ -110,7 +110,7 @@ def fit_experiment(out, bag, experiment) -> str:
     found = identify([reader.read_experiment(bag)], experiment.believed, say=say)
     truth = load_robot(robot_file())
     write_friction(found, out / 'friction.yaml')
-    write_report_json(found, out / 'report.json')
+    write_json(out / 'report.json', report_json(found))
     write_identification_report(found, out, robot=[out / 'believed_robot.yaml'])
     return f'{identification_text(found)}\n\n{beside_truth(found, truth)}'
 

@@ -14,7 +14,7 @@ from gms_flex_control.data.reader import joint_names, read_experiment_of, read_r
 from gms_flex_control.data.recording import link_names
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError, ConfigError
-from gms_flex_control.file_io import share_path, write_text, written_together
+from gms_flex_control.file_io import share_path, write_json, write_text, written_together
 from gms_flex_control.identification import output
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
@@ -129,7 +129,7 @@ def _written(args, options):
     with written_together():
         output.write_friction(found, out / 'friction.yaml')
         output.write_conditions(found, out)
-        output.write_report_json(found, out / 'report.json')
+        write_json(out / 'report.json', output.report_json(found))
         write_identification_report(found, out, robot=args.robot or ())
     return found
 

@@ -133,7 +133,7 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
         plan, run = loop.run(robot, robot, one, duration)
         gained = _information([replace(to_recording(run, plan), operation=Operation(loop.load))],
                               robot, missing)
-        found.append(gained.and_of(so_far).worth(one))
+        found.append(gained._replace(matrix=gained.matrix + so_far.matrix).worth(one))
     if not found:
         raise ConfigError('every motion would cross a limit; widen the limits, or look at gains '
                           'with gms_flex tune')
@@ -204,10 +204,6 @@ class _Information(NamedTuple):
     nuisances: list       # the parameters
     sd: np.ndarray        # (P,) of the priors
     wanted: dict          # (kind, joint) of those not identified, by index
-
-    def and_of(self, other) -> '_Information':
-        """Return that of both."""
-        return self._replace(matrix=self.matrix + other.matrix)
 
     def drawn(self, robot) -> list:
         """Return robots two standard deviations away."""

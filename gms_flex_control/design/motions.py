@@ -17,7 +17,6 @@ APPROACH = 2.0         # to the beginning of a motion, and to rest: of the traje
 _OF_LIMIT = 0.8        # share of each limit that a reference uses: the robot overshoots
 QUICK, _QUICKEST = 4.0, 8.0  # velocity limits that moves, and swings, gain in a second
 _SLOW, _CREEP = 2.5, 20.0  # times the shortest period or time that the limits allow
-_GENTLE = 12.0         # times the shortest period, of the slowest swings
 _APART = 1.3           # times the period of the joint before: joints are not in step
 _MEDIUM, _SHORT, _TINY = 0.4, 0.15, 0.05  # of the range: the shorter, the quicker they reverse
 _CREEPING = 0.02       # of the range: swings within presliding and play
@@ -101,12 +100,6 @@ def by_hand(motions: Sequence[Candidate], weight: float) -> list[Candidate]:
             weight, np.zeros(3), np.zeros((3, 3))),
         words=f'{one.words}, after {weight:g} kg are hung at the tip (by hand, {_HANGING:g} min)')
         for one in motions if one.name in _LOADED]
-
-
-def gentlest(limits: Limits, joints: Sequence[str]) -> Candidate:
-    """Return slow swings, slower than any candidate."""
-    return _swing('gentlest', 'the slowest swings', _reach(limits, joints), limits, joints,
-                  _GENTLE)
 
 
 def random_moves(limits: Limits, joints: Sequence[str], seed: int, pace: float = 1.0

@@ -14,19 +14,9 @@ from typing import NamedTuple
 
 from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.design.motions import APPROACH, Candidate
+from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of, may_join
 from gms_flex_control.discrepancy.evidence import state_of
-from gms_flex_control.discrepancy.fitting import (
-    at_values,
-    extended,
-    fit,
-    informative,
-    numbers_of,
-    prior_of,
-    refitted,
-    retuned,
-    values_of,
-)
 from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
@@ -78,7 +68,8 @@ class Hypothesis:
         model, count = self.model, len(self.model.x)
         shift = np.zeros(len(self.covariance)) if rng is None else two_sigma(self.covariance, rng)
         return with_nuisances(
-            at_values(model.robot, self.numbers, values_of(model.robot, self.numbers)
+            fitting.at_values(model.robot, self.numbers, fitting.values_of(
+                model.robot, self.numbers)
                       + shift[count:]), likelihood.nuisances, model.x + shift[:count])
 
 
@@ -143,9 +134,9 @@ def beliefs_of(recordings: Sequence[Recording], robot: RobotParams,
                sets: Sequence[Collection]) -> Beliefs:
     """Fit each hypothesis, a set of (effect, joint), to recordings; ConfigError if impossible."""
     likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot, cautious=True)
-    model, _ = retuned(likelihood, robot, np.zeros(len(likelihood.nuisances)))
+    model, _ = fitting.retuned(likelihood, robot, np.zeros(len(likelihood.nuisances)))
     likelihood = likelihood.with_noise(white_noise(likelihood, model))
-    base, nuisances = retuned(likelihood, robot, model.x, PLAUSIBLE)
+    base, nuisances = fitting.retuned(likelihood, robot, model.x, PLAUSIBLE)
     dictionary = Dictionary(likelihood, base, only=set().union(*sets))
     found = sorted((_fitted(likelihood, base, nuisances, dictionary, frozenset(one))
                     for one in sets), key=lambda one: -one.evidence)
@@ -179,14 +170,15 @@ def _fitted(likelihood, base, nuisances, dictionary, effects):
     while left:
         spec = _begun(likelihood, dictionary, model, columns, left)
         # where known parameters stand for the effect it begins beside them, from nearly nothing
-        model = min((fit(likelihood, with_effect(model.robot, one), model.x, columns)
-                     for one in (spec, _smaller(spec))), key=lambda one: one.cost)
-        columns = extended(likelihood, model, nuisances)
+        model = min((fitting.fit(likelihood, with_effect(model.robot, one), model.x, columns)
+                     for one in (spec, replace(spec, values=(
+                         _HARDLY * spec.values[0], *spec.values[1:])))), key=lambda one: one.cost)
+        columns = fitting.extended(likelihood, model, nuisances)
         left -= {(spec.name, spec.joint)}
-    model, columns = refitted(likelihood, model, nuisances)
-    numbers = numbers_of(likelihood, model.robot)
-    prior = prior_of(likelihood, model, numbers)
-    rows = informative(likelihood, model, columns)
+    model, columns = fitting.refitted(likelihood, model, nuisances)
+    numbers = fitting.numbers_of(likelihood, model.robot)
+    prior = fitting.prior_of(likelihood, model, numbers)
+    rows = fitting.informative(likelihood, model, columns)
     gram = (rows * likelihood.weights(model.sums.groups)) @ rows.T
     information = gram + np.diag(np.maximum(
         prior.pull, 1.0 / (prior.sd * _LARGEST_SD) ** 2))
@@ -207,11 +199,6 @@ def _begun(likelihood, dictionary, model, columns, left):
             return spec
     raise ConfigError('no model of this robot has ' + ' and '.join(
         f'{effect} of {joint}' for effect, joint in sorted(left)) + '; leave it out')
-
-
-def _smaller(spec):
-    """Return an EffectSpec of hardly any size, its shape the same."""
-    return replace(spec, values=(_HARDLY * spec.values[0], *spec.values[1:]))
 
 
 class Loop(NamedTuple):
@@ -345,4 +332,4 @@ def _state(likelihood, hypothesis, nuisances):
     x = np.array([known.get(one, 0.0) for one in likelihood.nuisances])
     model = likelihood.fitted(hypothesis.model.robot, x)
     columns = likelihood.columns(model)
-    return state_of(likelihood, *refitted(likelihood, model, columns, _ITERATIONS), 2)
+    return state_of(likelihood, *fitting.refitted(likelihood, model, columns, _ITERATIONS), 2)

@@ -244,13 +244,9 @@ class _Equation:
 
 def _prediction(signals, memory):
     """Return the weights (memory,) of earlier samples that predict the next, of all signals."""
-    power = sum(_correlation(one, memory) for one in signals)
+    power = sum(np.array([one[:len(one) - k] @ one[k:] for k in range(memory + 1)])
+                for one in signals)
     if power[0] <= 0.0:
         return np.zeros(memory)
     power[0] *= 1.0 + _RIDGE
     return solve_toeplitz(power[:-1], power[1:])
-
-
-def _correlation(signal, memory):
-    """Return the sums (memory + 1,) of a signal (T,) times itself so many samples later."""
-    return np.array([signal[:len(signal) - k] @ signal[k:] for k in range(memory + 1)])

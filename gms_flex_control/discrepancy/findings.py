@@ -7,27 +7,10 @@ Small ones are listed apart and change no verdict.
 
 from collections.abc import Iterator
 
+from gms_flex_control.discrepancy import fitting, thresholds
 from gms_flex_control.discrepancy.describe import evidence_of, evidence_of_ripple
 from gms_flex_control.discrepancy.evidence import posterior, State
-from gms_flex_control.discrepancy.fitting import (
-    effect_columns,
-    fit,
-    informative,
-    is_within,
-    numbers_of,
-    prior_of,
-    without,
-)
 from gms_flex_control.discrepancy.result import Finding, Residual, Value
-from gms_flex_control.discrepancy.thresholds import (
-    BETTER,
-    CLEARLY,
-    LARGEST_NOISE,
-    MOST_LEFT,
-    PLAUSIBLE,
-    PRACTICAL,
-    RESEMBLES,
-)
 from gms_flex_control.discrepancy.torque_noise import clean_torque, excess_torque
 from gms_flex_control.discrepancy.worth import (
     caution_of,
@@ -50,8 +33,8 @@ def as_given(likelihood, state, nuisances, but=()) -> State:
     x, joints = np.zeros(len(likelihood.nuisances)), likelihood.robot.joints
     free = {joints.index(name) for name in but}
     farthest = np.array([np.inf if one.joint in free else 0.0 for one in likelihood.nuisances])
-    model = fit(likelihood, state.model.robot, x, nuisances, plausible=farthest)
-    own = effect_columns(likelihood, model, numbers_of(likelihood, model.robot))
+    model = fitting.fit(likelihood, state.model.robot, x, nuisances, plausible=farthest)
+    own = fitting.effect_columns(likelihood, model, fitting.numbers_of(likelihood, model.robot))
     return State(model, nuisances, own, -np.inf, farthest)
 
 
@@ -84,7 +67,7 @@ def judged(likelihood, found, functions) -> tuple:
         if not worths or not somewhere:
             return found, worths, left, whole
         shares = evidence_shares(functions, model, worths, left, beside, somewhere)
-        if min(shares) > RESEMBLES:
+        if min(shares) > thresholds.RESEMBLES:
             return found, worths, left, whole
         worst = worths[int(np.argmin(shares))].index
         found, worths = pruned(likelihood, dropped(likelihood, found, worst))
@@ -108,9 +91,9 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
         fewer = {one.index: held_out.energy(one.rest) for one in worths if len(worths) > 1}
         # what has stood beside it may fall with it, and another take its place: the end counts
         ends = (pruned(likelihood, dropped(likelihood, found, index)) for index in sorted(
-            fewer, key=fewer.get) if CLEARLY * fewer[index] <= energy)
+            fewer, key=fewer.get) if thresholds.CLEARLY * fewer[index] <= energy)
         limit = plausible_limit(likelihood, found.best.model)
-        better = next((end for end in ends if CLEARLY * held_out.energy(
+        better = next((end for end in ends if thresholds.CLEARLY * held_out.energy(
             limited(likelihood, end[0].best, limit)) <= energy), None)
         if better is None:
             break
@@ -121,9 +104,9 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
 def limited(likelihood, state, limit) -> State:
     """Return a State, known parameters no farther off than a ``limit`` (P,)."""
     model = state.model
-    if is_within(likelihood, model, limit):
+    if fitting.is_within(likelihood, model, limit):
         return state
-    return state._replace(plausible=limit, model=fit(
+    return state._replace(plausible=limit, model=fitting.fit(
         likelihood, model.robot, model.x, state.columns, plausible=limit))
 
 
@@ -138,10 +121,11 @@ def _lessened(likelihood, found, one, held_out):
     less = one.rest._replace(model=one.less, plausible=plausible_limit(likelihood, state.model))
     before, after = held_out.torque(less), held_out.errors(state).torque
     better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
-    matters = bool(np.any(better >= PRACTICAL))
+    matters = bool(np.any(better >= thresholds.PRACTICAL))
     if not matters and held_out.other:
-        absent, _ = without(likelihood, state.model, state.columns, one.index)
-        if np.all(held_out.action(state.model, absent) < PRACTICAL * likelihood.coulomb):
+        absent, _ = fitting.without(likelihood, state.model, state.columns, one.index)
+        if np.all(held_out.action(state.model, absent)
+                  < thresholds.PRACTICAL * likelihood.coulomb):
             return _lessened(likelihood, found, one, held_out.of_blocks)
     return before, after, matters
 
@@ -171,7 +155,7 @@ def _alone(likelihood, found, worths, held_out):
     if not worths or not single:
         return found, worths
     best = min(single, key=held_out.energy)
-    if BETTER * held_out.energy(best) > held_out.energy(found.best):
+    if thresholds.BETTER * held_out.energy(best) > held_out.energy(found.best):
         return found, worths
     other, others = pruned(likelihood, found._replace(best=best))
     return (other, others) if others else (found, worths)
@@ -192,7 +176,8 @@ def evidence_shares(functions, model, worths, left, beside, somewhere) -> list:
     judged_here = [spec.joint in somewhere or find(spec.name).whole_arm for spec in specs]
     instead = [{free.place: free.evidence for free in functions.ranked(
         one.less, one.rest.columns, spec.joint)
-        if free.evidence - rest[free.place] > MOST_LEFT * one.outright} if is_judged else {}
+        if free.evidence - rest[free.place] > thresholds.MOST_LEFT * one.outright}
+        if is_judged else {}
         for spec, one, is_judged in zip(specs, worths, judged_here, strict=True)]
     if left is not None:
         for spec, one, places in zip(specs, worths, instead, strict=True):
@@ -209,7 +194,7 @@ def evidence_shares(functions, model, worths, left, beside, somewhere) -> list:
 def joints_left(likelihood, model, free) -> tuple:
     """Return the joints (str) in which a model leaves more than noise, or a Free function."""
     quiet = excess_torque(likelihood, model) <= np.maximum(
-        LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
+        thresholds.LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
         caution_of(likelihood) * clean_torque(likelihood))
     quiet = np.all(quiet.reshape(2, -1), axis=0)  # not where it is not finite
     return tuple(name for name, is_quiet in zip(likelihood.robot.joints, quiet, strict=True)
@@ -221,7 +206,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
     models = posterior(found.tried, likelihood.known)
     whole = max(found.before.model.cost - found.best.model.cost, 1e-12)
     beside = {other.key: other.gain for other in found.dictionary.ranked(
-        found.best.model, found.best.columns, PLAUSIBLE)} if worths else {}
+        found.best.model, found.best.columns, thresholds.PLAUSIBLE)} if worths else {}
     out = []
     for one in worths:
         before, after, main = _lessened(likelihood, found, one, held_out)
@@ -249,7 +234,7 @@ def _rivals(found, one, spec, beside):
 
     What another gains ``beside`` the effect (dict by key) is no share of what the effect explains.
     """
-    ranked = found.dictionary.ranked(one.less, one.rest.columns, PLAUSIBLE)
+    ranked = found.dictionary.ranked(one.less, one.rest.columns, thresholds.PLAUSIBLE)
     shares = [(*other.key, min((other.gain - beside.get(other.key, 0.0)) / max(one.loss, 1e-12),
                                1.0)) for other in ranked if other.key != (spec.name, spec.joint)]
     return sorted((rival for rival in shares if rival[2] > 0.0), key=lambda rival: -rival[2])[
@@ -264,10 +249,11 @@ def _values(likelihood, found, index):
     independent. They end at the bounds of the parameters.
     """
     model, columns = found.best.model, found.best.columns
-    numbers, weight = numbers_of(likelihood, model.robot), likelihood.weights(model.sums.groups)
-    prior = prior_of(likelihood, model, numbers)
+    numbers = fitting.numbers_of(likelihood, model.robot)
+    weight = likelihood.weights(model.sums.groups)
+    prior = fitting.prior_of(likelihood, model, numbers)
     free, scale = prior.free, prior.sd[prior.free]
-    used = informative(likelihood, model, columns)[free] * scale[:, None]
+    used = fitting.informative(likelihood, model, columns)[free] * scale[:, None]
     inverse = np.linalg.pinv((used * weight) @ used.T + np.eye(len(used)), hermitian=True)
     scatter = inverse @ (used * weight) @ likelihood.clean.T
     variance = np.zeros(len(free))

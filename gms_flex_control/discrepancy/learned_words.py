@@ -155,9 +155,3 @@ def words_of(terms, before=None, after=None) -> str:
     return (f'Learned, without a name: {"; ".join(one.formula for one in terms)}. '
             f'Held-out residual torque is {change(before.after, after.after)} times, the error of '
             f'free runs {change(before.free_after, after.free_after)} times what it was without.')
-
-
-def words_of_drift(formula) -> str:
-    """Return a sentence on a change of friction over time, which is not written."""
-    return (f'What is unexplained includes {formula}: it belongs to this recording and is not in '
-            'the model.')

@@ -11,20 +11,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.compiled import in_one_thread
+from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.evidence import State, state_of
-from gms_flex_control.discrepancy.fitting import (
-    at_values,
-    effect_columns,
-    extended,
-    fit,
-    informative,
-    numbers_of,
-    prior_cost,
-    step_of,
-    values_of,
-)
 from gms_flex_control.discrepancy.gap import HeldOut
-from gms_flex_control.discrepancy.learned_words import described, words_of, words_of_drift
+from gms_flex_control.discrepancy.learned_words import described, words_of
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
@@ -147,8 +137,8 @@ class _Learning:
         self.likelihood, self._measured, self._say = likelihood, measured, say
         self._nuisances = likelihood.columns(before)
         self._plausible = plausible  # standard deviations that nuisance parameters may go
-        self._before = State(before, self._nuisances, effect_columns(
-            likelihood, before, numbers_of(likelihood, before.robot)), -np.inf, PLAUSIBLE)
+        self._before = State(before, self._nuisances, fitting.effect_columns(
+            likelihood, before, fitting.numbers_of(likelihood, before.robot)), -np.inf, PLAUSIBLE)
         self._caution = UNSEEN if likelihood.unseen else 1.0
         joints = range(likelihood.robot.n_joints)
         self._ranges = [_ranges(likelihood, j) for j in joints]
@@ -157,9 +147,9 @@ class _Learning:
 
     def state(self, model) -> State:
         """Return a model fitted again as a State."""
-        model = fit(self.likelihood, model.robot, model.x, self._nuisances,
+        model = fitting.fit(self.likelihood, model.robot, model.x, self._nuisances,
                     plausible=self._plausible)
-        return self._state(model, extended(self.likelihood, model, self._nuisances))
+        return self._state(model, fitting.extended(self.likelihood, model, self._nuisances))
 
     def _state(self, model, columns):
         return state_of(self.likelihood, model, columns, self._count)._replace(
@@ -177,7 +167,8 @@ class _Learning:
                 if not gain._replace(sigmas=gain.sigmas / self._caution).is_real:
                     continue
                 if not shapes.LEARNED[one.spec.name].written:
-                    drift = words_of_drift(self._described(one)[0])
+                    drift = (f'What is unexplained includes {self._described(one)[0]}: it belongs '
+                             'to this recording and is not in the model.')
                     continue
                 closer = self._closer(one.state, gap)
                 if closer is not None:
@@ -217,9 +208,9 @@ class _Learning:
     def _freedom(self, one):
         """Return how many parameters of a term the data determine, its effective parameters."""
         likelihood, model = self.likelihood, one.state.model
-        columns = informative(likelihood, model, one.state.columns)[len(one.others):]
+        columns = fitting.informative(likelihood, model, one.state.columns)[len(one.others):]
         values, size = np.array(one.spec.values[:len(columns)]), [
-            number.sd for number in numbers_of(likelihood, model.robot)[-len(columns):]]
+            number.sd for number in fitting.numbers_of(likelihood, model.robot)[-len(columns):]]
         scaled = (columns * np.array(size)[:, None])[values != 0.0]
         known = np.linalg.eigvalsh((scaled * likelihood.weights(model.sums.groups)) @ scaled.T)
         return float(np.sum(np.maximum(known, 0.0) / (1.0 + np.maximum(known, 0.0))))
@@ -262,13 +253,14 @@ class _Learning:
         columns, at = np.concatenate([state.columns, own]), len(base.x)
         for _ in range(_ITERATIONS):
             numbers = [one._replace(reach=np.inf)
-                       for one in numbers_of(likelihood, model.robot)]
-            step = step_of(likelihood, model, columns, numbers, plausible=self._plausible)
+                       for one in fitting.numbers_of(likelihood, model.robot)]
+            step = fitting.step_of(likelihood, model, columns, numbers, plausible=self._plausible)
             other = likelihood.fitted(
-                at_values(model.robot, numbers, values_of(model.robot, numbers) + step[at:]),
+                fitting.at_values(model.robot, numbers, fitting.values_of(
+                    model.robot, numbers) + step[at:]),
                 model.x + step[:at])
-            if not (other.cost + prior_cost(likelihood, other)
-                    < model.cost + prior_cost(likelihood, model)):
+            if not (other.cost + fitting.prior_cost(likelihood, other)
+                    < model.cost + fitting.prior_cost(likelihood, model)):
                 break
             model = other
         return _Candidate(self._state(model, columns), state.columns)

@@ -6,14 +6,7 @@ from functools import cached_property
 from typing import Any, Self
 
 from gms_flex_control import records
-from gms_flex_control.discrepancy.samples import (
-    encoder_step,
-    held_triangle,
-    Samples,
-    samples_of,
-    second_difference,
-    smoothing,
-)
+from gms_flex_control.discrepancy import samples as sampling
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects.base import Scales, Travel
 import numpy as np
@@ -36,7 +29,7 @@ class Motion:
     readings and held torques reach them through one symmetric filter, so none is wasted.
     """
 
-    samples: Samples
+    samples: sampling.Samples
     factor: int               # samples of the recording per sample of the equations
     time: np.ndarray          # (S,) [s]
     period: float             # [s]
@@ -73,7 +66,7 @@ class Motion:
 
     def through_filter(self, torque) -> np.ndarray:
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
-        return thinned(held_triangle(torque), self.factor)
+        return thinned(sampling.held_triangle(torque), self.factor)
 
     @cached_property
     def settled(self) -> np.ndarray:
@@ -121,7 +114,7 @@ def weight_of_neighbours(factor) -> float:
 
 def motion_of(recording, robot) -> Motion:
     """Return the Motion of a Recording; arguments and errors as of `samples_of`."""
-    return make_motion(samples_of(recording, robot))
+    return make_motion(sampling.samples_of(recording, robot))
 
 
 def make_motion(samples, factor=None) -> Motion:
@@ -134,12 +127,12 @@ def make_motion(samples, factor=None) -> Motion:
     return Motion(
         samples=samples, factor=factor, time=np.ascontiguousarray(samples.time[::factor]),
         period=period * factor, states=thin,
-        second=thinned(second_difference(samples.readings, period), factor),
-        drive=thinned(held_triangle(samples.command), factor),
+        second=thinned(sampling.second_difference(samples.readings, period), factor),
+        drive=thinned(sampling.held_triangle(samples.command), factor),
         torsion_rest=torsion - filtered_alike(
             thin[:, 3] - thin[:, 0], weight_of_neighbours(factor)),
         standing=standing(link, samples.noise[0], period)[::factor],
-        known=minimum_filter1d(samples.known, smoothing(period) + 4 * factor)[::factor])
+        known=minimum_filter1d(samples.known, sampling.smoothing(period) + 4 * factor)[::factor])
 
 
 def at_full_rate(motion) -> Motion:
@@ -151,7 +144,7 @@ def standing(angle, noise, period) -> np.ndarray:
     """Return when encoders of noise (n,) see links (T, n) stand, bool (T, n) [rad]."""
     window = max(round(_STANDING / period), 3)
     spread = (maximum_filter1d(angle, window, axis=0) - minimum_filter1d(angle, window, axis=0))
-    step = np.array([encoder_step(column, own)
+    step = np.array([sampling.encoder_step(column, own)
                      for column, own in zip(angle.T, noise, strict=True)])
     return spread <= np.maximum(_ONE_COUNT * step, _DEVIATIONS * noise)
 
@@ -175,7 +168,7 @@ def scales_of(motions, robot) -> list:
                 float(link.min()), float(link.max()), float(np.ptp(motor))),
             duration=float(max(one.time[-1] - one.time[0] for one in motions)),
             supply=min(float(one.samples.supply.mean()) for one in motions),
-            count=max(encoder_step(one.samples.readings[:, 0, j], one.samples.noise[0, j])
+            count=max(sampling.encoder_step(one.samples.readings[:, 0, j], one.samples.noise[0, j])
                       for one in motions),
             presliding=float(np.max(robot.friction.weight[j] * robot.friction.forward.coulomb[j]
                                     / robot.friction.stiffness[j])),

@@ -7,7 +7,7 @@ import time
 
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.discrepancy import describe
+from gms_flex_control.discrepancy import describe, thresholds
 from gms_flex_control.discrepancy.evidence import credible, doubted, posterior
 from gms_flex_control.discrepancy.fast_ripple import fast_ripples, with_ripples
 from gms_flex_control.discrepancy.findings import (
@@ -41,15 +41,6 @@ from gms_flex_control.discrepancy.result import (
 )
 from gms_flex_control.discrepancy.samples import faults_of
 from gms_flex_control.discrepancy.search import search
-from gms_flex_control.discrepancy.thresholds import (
-    BETTER,
-    CLEARLY,
-    KNOWN_OFF,
-    MOST_LEFT,
-    NOT_CLEARLY,
-    PLAUSIBLE,
-    WORSE,
-)
 from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
 from gms_flex_control.discrepancy.worth import caution_of, plausible_limit, timed, with_fewer
 from gms_flex_control.effects.registry import find
@@ -126,7 +117,8 @@ def _compared(motions, holdout, robot, options, say):
         findings, left = _named(likelihood, findings, gap, free, left)
         left = _of_open_joints(left, all_found.model, held_out.other or likelihood)
         found = _named_alone(likelihood, found, {one.key for one in findings})
-    more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
+    more = left is not None or np.any(
+        gap.after ** 2 > thresholds.BETTER * np.nan_to_num(gap.floor) ** 2)
     whole = whole if left else found
     after, alone = _written(likelihood, found, whole, held_out, [
         searched.best, predicting_subset(likelihood, whole, held_out)] if more else [],
@@ -191,7 +183,8 @@ def _searched(likelihood, options, say):
         if sound is None:
             break  # noise stays that of the robot believed, which keeps to the motion
         found, model, noise = sound, sound.best.model, likelihood.noise
-        if found.is_done if k else _is_as_believed(likelihood, model):
+        if found.is_done if k else (len(model.robot.effects) == likelihood.known
+                                    and is_within(likelihood, model, thresholds.PLAUSIBLE)):
             break
         say('once more, with the noise of such a robot')
         found = found._replace(dictionary=None)  # two of them would fill the memory
@@ -212,11 +205,6 @@ def _hardly_acting(likelihood, state):
     """Return the names of effects of a State on which the motion hardly depends."""
     return {spec.name for spec in state.model.robot.effects[likelihood.known:]
             if find(spec.name).hardly_acts(spec.values, likelihood.scales_of(spec.joint))}
-
-
-def _is_as_believed(likelihood, model):
-    """Return whether a model has no effects, and nuisance parameters that are plausible."""
-    return len(model.robot.effects) == likelihood.known and is_within(likelihood, model, PLAUSIBLE)
 
 
 def _sound(likelihood, found):
@@ -249,7 +237,7 @@ def _named(likelihood, findings, gap, free, left):
     """
     noise = np.nan_to_num(gap.floor) ** 2
     before, after = (np.maximum(one ** 2 - noise, 0.0) for one in (gap.retuned, gap.after))
-    explained = after < MOST_LEFT * before
+    explained = after < thresholds.MOST_LEFT * before
     named, resembling = [], set()
     for one in findings:
         torque = one.residual
@@ -305,8 +293,9 @@ def _written(likelihood, found, larger, held_out, further, named):
         effects = state.key(known)
         matters = any(named.get(key) for key in effects)
         return not (held_out.worsens(
-            state, given, matters * (WORSE if held_out.other else NOT_CLEARLY))
-            or effects and held_out.worsens(state, alone, matters * NOT_CLEARLY))
+            state, given, matters * (
+                thresholds.WORSE if held_out.other else thresholds.NOT_CLEARLY))
+            or effects and held_out.worsens(state, alone, matters * thresholds.NOT_CLEARLY))
 
     def is_written(state, alone=found.before):
         return is_safe(state, alone) and (held_out.other or _may_stand_in(
@@ -327,7 +316,8 @@ def _written(likelihood, found, larger, held_out, further, named):
     other = min((given, *others), key=held_out.energy)
     other = other, found.before if other.key(known) else other
     whole = min(wholes, key=lambda pair: held_out.energy(pair[0]), default=other)
-    return whole if CLEARLY * held_out.energy(other[0]) >= held_out.energy(whole[0]) else other
+    return (whole if thresholds.CLEARLY * held_out.energy(other[0]) >= held_out.energy(whole[0])
+            else other)
 
 
 def _may_stand_in(likelihood, held_out, state, before, named):
@@ -345,7 +335,7 @@ def _may_stand_in(likelihood, held_out, state, before, named):
     acted = [joint in owners or not owners.issubset(joints) for joint in joints]  # or all
     left, whole = (np.sum((held_out.errors(one).torque / likelihood.coulomb)[acted] ** 2)
                    for one in (state, before))
-    return left < MOST_LEFT * whole
+    return left < thresholds.MOST_LEFT * whole
 
 
 def _tried(found):
@@ -360,5 +350,5 @@ def _known_off(found, robot):
     """Return (effect, joint) of an effect the model has, if another value would explain most."""
     known = {(spec.name, spec.joint) for spec in robot.effects}
     ranked = sorted(found.scan, key=lambda key: -found.scan[key])
-    return (ranked[0] if ranked and ranked[0] in known and found.scan[ranked[0]] > KNOWN_OFF
-            else None)
+    return (ranked[0] if ranked and ranked[0] in known
+            and found.scan[ranked[0]] > thresholds.KNOWN_OFF else None)

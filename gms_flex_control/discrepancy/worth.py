@@ -8,17 +8,9 @@ An effect is worth something if its evidence and held-out prediction both speak 
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.dictionary import may_join
 from gms_flex_control.discrepancy.evidence import finite, State, state_of
-from gms_flex_control.discrepancy.fitting import (
-    fit,
-    informative,
-    is_at_limit,
-    is_within,
-    prior_of,
-    refitted,
-    without,
-)
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.search import Found
 from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, PLAUSIBLE, UNSEEN
@@ -69,15 +61,15 @@ def _worth_of(likelihood, found, i, whole):
     """Return what the i-th effect is worth in a model that predicts blocks so well, (B,)."""
     model, columns = found.best.model, found.best.columns
     spec = model.robot.effects[i]
-    less, others = without(likelihood, model, columns, i)
+    less, others = fitting.without(likelihood, model, columns, i)
     change = less.rows - model.rows
     own, loss = _beside(likelihood, model, less, others, change)
-    anything, limit = fit(likelihood, less.robot, model.x, others), plausible_limit(
+    anything, limit = fitting.fit(likelihood, less.robot, model.x, others), plausible_limit(
         likelihood, model)
-    plausible = anything if is_within(likelihood, anything, limit) else fit(
+    plausible = anything if fitting.is_within(likelihood, anything, limit) else fitting.fit(
         likelihood, less.robot, model.x, others, plausible=limit)
     gain = gain_where(likelihood, whole - predicted(likelihood, plausible, others, limit), change)
-    if is_at_limit(spec, model.robot) or (find(spec.name).of_feedback and not _predicts(
+    if fitting.is_at_limit(spec, model.robot) or (find(spec.name).of_feedback and not _predicts(
             likelihood, found, spec, plausible)):
         gain = gain._replace(nats=min(gain.nats, 0.0))
     rest = state_of(likelihood, anything, others, found.hypotheses)
@@ -91,10 +83,10 @@ def _worth_of(likelihood, found, i, whole):
 def _beside(likelihood, model, less, others, change):
     """Return the squares of what an effect changes, and of what nothing else can make of it."""
     weight = likelihood.weights(model.sums.groups)
-    pull = prior_of(likelihood, less).pull
+    pull = fitting.prior_of(likelihood, less).pull
     kept = np.ones(len(others), dtype=bool)
     kept[:len(model.x)] = likelihood.resting(less.robot) | ~likelihood.resting(model.robot)
-    used = informative(likelihood, less, others)[kept]
+    used = fitting.informative(likelihood, less, others)[kept]
     gram = (used * weight) @ used.T + np.diag(pull[kept])
     slope = used @ (weight * change)
     own = float(change @ (weight * change))
@@ -150,8 +142,9 @@ def dropped(likelihood, found, index) -> Found:
 def with_fewer(likelihood, found, *dropped) -> State:
     """Return the State of a search's end without effects (indices), all else re-tuned."""
     # derivatives anew: much may move
-    less, _ = without(likelihood, found.best.model, found.best.columns, *dropped)
-    return state_of(likelihood, *refitted(likelihood, less, found.nuisances), found.hypotheses)
+    less, _ = fitting.without(likelihood, found.best.model, found.best.columns, *dropped)
+    return state_of(likelihood, *fitting.refitted(likelihood, less, found.nuisances),
+                    found.hypotheses)
 
 
 def _tried_without(likelihood, found, spec):
@@ -178,7 +171,7 @@ def timed(likelihood, found) -> Found:
                     or not may_join(other, replace(model.robot, effects=rest),
                                     likelihood.known)):
                 continue
-            swapped, columns = refitted(likelihood, likelihood.fitted(
+            swapped, columns = fitting.refitted(likelihood, likelihood.fitted(
                 _instead(model.robot, i, other), model.x), found.nuisances)
             own, instead = prediction_cost(likelihood, [
                 (one.robot, one.x) for one in (model, swapped)], spec.joint)

@@ -12,16 +12,8 @@ All are linear in their weights; where weights must not be negative, a term cann
 """
 
 from gms_flex_control.compiled import compiled
+from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Parameter, Stage, Term
-from gms_flex_control.effects.signals import (
-    DQ_LINK,
-    FRICTION,
-    LINK_TORQUE,
-    Q_LINK,
-    SPRING,
-    TIME,
-    TORSION,
-)
 import numpy as np
 
 KNOTS = 24            # of a curve, at most
@@ -124,7 +116,7 @@ class LearnedPosition(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[LINK_TORQUE] += curve(s[Q_LINK], p)
+        s[sig.LINK_TORQUE] += curve(s[sig.Q_LINK], p)
 
 
 class LearnedTorsion(Learned):
@@ -137,7 +129,7 @@ class LearnedTorsion(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[SPRING] += curve(s[TORSION], p)
+        s[sig.SPRING] += curve(s[sig.TORSION], p)
 
 
 class LearnedRateFriction(Learned):
@@ -150,7 +142,7 @@ class LearnedRateFriction(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[FRICTION] += curve(abs(s[DQ_LINK]), p) * _sign(s[DQ_LINK], p[_SIGN])
+        s[sig.FRICTION] += curve(abs(s[sig.DQ_LINK]), p) * _sign(s[sig.DQ_LINK], p[_SIGN])
 
 
 class LearnedPositionFriction(Learned):
@@ -167,9 +159,9 @@ class LearnedPositionFriction(Learned):
     @staticmethod
     def apply(s, p, memory, dt) -> None:
         if p[_SIGN] > 0.0:
-            memory[2] = _stop((s[Q_LINK] - memory[0]) * memory[1], p[_SIGN], memory[2])
-            memory[0], memory[1] = s[Q_LINK], 1.0
-            s[FRICTION] += curve(s[Q_LINK], p) * memory[2]
+            memory[2] = _stop((s[sig.Q_LINK] - memory[0]) * memory[1], p[_SIGN], memory[2])
+            memory[0], memory[1] = s[sig.Q_LINK], 1.0
+            s[sig.FRICTION] += curve(s[sig.Q_LINK], p) * memory[2]
 
 
 class LearnedPositionDrag(Learned):
@@ -182,7 +174,7 @@ class LearnedPositionDrag(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[FRICTION] += curve(s[Q_LINK], p) * _sign(s[DQ_LINK], p[_SIGN])
+        s[sig.FRICTION] += curve(s[sig.Q_LINK], p) * _sign(s[sig.DQ_LINK], p[_SIGN])
 
 
 class LearnedLoadFriction(Learned):
@@ -195,7 +187,7 @@ class LearnedLoadFriction(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[FRICTION] += curve(abs(s[SPRING]), p) * _sign(s[DQ_LINK], p[_SIGN])
+        s[sig.FRICTION] += curve(abs(s[sig.SPRING]), p) * _sign(s[sig.DQ_LINK], p[_SIGN])
 
 
 class LearnedHysteresis(Learned):
@@ -211,13 +203,13 @@ class LearnedHysteresis(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        moved, yields = (s[Q_LINK] - memory[0]) * memory[1], p[STOPS]
-        memory[0], memory[1] = s[Q_LINK], 1.0
+        moved, yields = (s[sig.Q_LINK] - memory[0]) * memory[1], p[STOPS]
+        memory[0], memory[1] = s[sig.Q_LINK], 1.0
         if yields > 0.0 and p[STOPS + 1] > yields:
             ratio = (p[STOPS + 1] / yields) ** (1.0 / (STOPS - 1))
             for k in range(STOPS):
                 memory[2 + k] = _stop(moved, yields, memory[2 + k])
-                s[FRICTION] += p[k] * memory[2 + k]
+                s[sig.FRICTION] += p[k] * memory[2 + k]
                 yields *= ratio
 
 
@@ -240,11 +232,11 @@ class LearnedResonance(Learned):
             ratio = (p[MODES + 1] / frequency) ** (1.0 / (MODES - 1))
             for k in range(MODES):
                 if memory[0] == 0.0:
-                    memory[1 + 2 * k], memory[2 + 2 * k] = s[Q_LINK], s[DQ_LINK]
+                    memory[1 + 2 * k], memory[2 + 2 * k] = s[sig.Q_LINK], s[sig.DQ_LINK]
                 w = 2.0 * np.pi * frequency
                 turn = 2.0 * damping / w
                 # exact for a link that moves on evenly, as far as half the step
-                rest = s[Q_LINK] + (turn + 0.5 * dt) * s[DQ_LINK]
+                rest = s[sig.Q_LINK] + (turn + 0.5 * dt) * s[sig.DQ_LINK]
                 swing = w * np.sqrt(1.0 - damping * damping)
                 x, rate = memory[1 + 2 * k] - rest, memory[2 + 2 * k]
                 cosine, sine = np.cos(swing * dt), np.sin(swing * dt) / swing
@@ -252,7 +244,7 @@ class LearnedResonance(Learned):
                 x, rate = (decay * (x * cosine + (rate + damping * w * x) * sine),
                            decay * (rate * cosine - (damping * w * rate + w * w * x) * sine))
                 # what the body takes, as mean over the step
-                s[LINK_TORQUE] -= p[k] * (rate - memory[2 + 2 * k]) / dt
+                s[sig.LINK_TORQUE] -= p[k] * (rate - memory[2 + 2 * k]) / dt
                 memory[1 + 2 * k], memory[2 + 2 * k] = rest + x, rate
                 frequency *= ratio
             memory[0] = 1.0
@@ -270,7 +262,7 @@ class LearnedDrift(Learned):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[FRICTION] *= 1.0 + curve(s[TIME], p)
+        s[sig.FRICTION] *= 1.0 + curve(s[sig.TIME], p)
 
 
 LEARNED = {kind.name: kind for kind in (

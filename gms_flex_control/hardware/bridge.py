@@ -7,17 +7,9 @@ from types import SimpleNamespace
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.hardware import limits as limiting
+from gms_flex_control.hardware import supervision
 from gms_flex_control.hardware.limits import Limits, NEEDED
 from gms_flex_control.hardware.mapping import JointMap, NANOSECONDS, StateMerger
-from gms_flex_control.hardware.supervision import (
-    BRIDGED,
-    CommandWatch,
-    Lateness,
-    Outcome,
-    recently,
-    STOOD_STILL,
-    Supervisor,
-)
 import numpy as np
 
 _KEPT_STATES = 64          # published states that a command may answer
@@ -101,12 +93,12 @@ class ControllerSide:
     """What the controller is given and asks for: how much of it acts, and how late it is."""
 
     def __init__(self, params):
-        self.watch = CommandWatch()
+        self.watch = supervision.CommandWatch()
         self.torque = np.zeros(len(params.joint_map.joints))  # given to the robot last [N m]
         self.given = 0           # when that was [ns]
         self.answered = None     # stamp of the newest state a command answered
         self.held_back = [0.0] * len(self.torque)  # share of recent time, by the rate limit
-        self.lateness = Lateness()
+        self.lateness = supervision.Lateness()
         self.refused = ''
         self.worst_answer = 0    # [ns]
 
@@ -128,7 +120,7 @@ class Bridge:
     """
 
     def __init__(self, params):
-        self.params, self.supervisor, self.counters = params, Supervisor(), Counter()
+        self.params, self.supervisor, self.counters = params, supervision.Supervisor(), Counter()
         self.robot, self.controller = RobotSide(params), ControllerSide(params)
         self._watched = np.inf     # when the bridge last looked after both sides; not yet
         self._enabled = 0          # stamp of the state at which torque was enabled
@@ -163,7 +155,7 @@ class Bridge:
         if not limiting.is_within(robot.rows, before, elapsed, *self.params.limits.within):
             self._judge(before, elapsed)
         robot.publish(now)
-        self.counters[BRIDGED[0]] += 1
+        self.counters[supervision.BRIDGED[0]] += 1
         return True
 
     def _judge(self, before, elapsed):
@@ -182,7 +174,7 @@ class Bridge:
             controller.lateness.restart()  # plain commands answer no state
             return
         missed = controller.answered < self.robot.stamp
-        self.counters[BRIDGED[1]] += missed
+        self.counters[supervision.BRIDGED[1]] += missed
         controller.lateness.note(missed, elapsed)
 
     def refuse_state(self, sentence) -> None:
@@ -222,7 +214,7 @@ class Bridge:
         controller.torque = limiting.limited(command, controller.torque, elapsed,
                                              measured.q_link, measured.dq_link, limits, held)
         held = held.tolist()
-        controller.held_back = [recently(share, one, elapsed) for share, one in zip(
+        controller.held_back = [supervision.recently(share, one, elapsed) for share, one in zip(
             controller.held_back, held, strict=True)]
         self.counters['commands held back by torque_rate'] += any(held)
         controller.given = sent
@@ -276,7 +268,8 @@ class Bridge:
         stood, self._watched = now - self._watched, now
         if not self.supervisor.active:
             return False
-        if self.params.guarded and stood > STOOD_STILL * NANOSECONDS:  # torque went to zero
+        # torque went to zero
+        if self.params.guarded and stood > supervision.STOOD_STILL * NANOSECONDS:
             return self.fault(f'the bridge stood still for {stood / 1e6:.0f} ms')
         sentence = self.robot.silent(now, self.params) or self._silent_controller(now)
         self._silent_for = sentence if sentence.startswith(_NO_COMMAND) else ''
@@ -317,7 +310,7 @@ class Bridge:
             return self.controller.sentence(silence)
         return ''
 
-    def enable(self, now) -> Outcome:
+    def enable(self, now) -> supervision.Outcome:
         """Let torque flow, from zero on and for states from now on; return an Outcome."""
         if self.supervisor.active:  # and goes on as it does: nothing begins anew
             return self.supervisor.enable()

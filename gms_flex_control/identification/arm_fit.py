@@ -12,21 +12,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.effects.catalogue.link import ConstantLinkTorque
+from gms_flex_control.identification import axis_fit
 from gms_flex_control.identification.arm_differences import (
     base_estimates,
     Differences,
     load_estimate,
 )
 from gms_flex_control.identification.arm_regression import fit_base_parameters
-from gms_flex_control.identification.axis_fit import (
-    fit_axis_with_ripple,
-    fit_motor,
-    held_torque,
-    RIPPLE,
-    rows_of,
-    SKEWED,
-    spring_torque,
-)
 from gms_flex_control.identification.outcome import CONFIDENT, estimated, WIDE
 from gms_flex_control.identification.segments import filled, friction_by_load, Segment
 from gms_flex_control.params.arm import ArmParams, STANDARD_GRAVITY
@@ -88,15 +80,11 @@ class ArmFit(NamedTuple):
             return -units * torque[:, chosen]
         return extra
 
-    def corrections(self, joint, theta) -> np.ndarray:
-        """Return what parameters of a joint correct, in the units of the numbers, (R,)."""
-        return theta[len(theta) - len(self.units[joint]):] * self.units[joint]
-
 
 def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     """Estimate the arm of recordings; the robot's kind, lengths and frames are relied on."""
     n = robot.n_joints
-    motors = tuple(fit_motor(recordings, j) if _two_sided(recordings, j) else None
+    motors = tuple(axis_fit.fit_motor(recordings, j) if _two_sided(recordings, j) else None
                    for j in range(n))
     robot = replace(robot, arm=with_motors(robot.arm, motors))
     if robot.arm.frames or robot.arm.kind == 'planar' and n > 1:
@@ -104,8 +92,8 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     drives = [_drive_of(recordings, robot.arm, j) for j in range(n)]
     numbers, units, axes, ripples, constant, arm = [], [], [], [], np.zeros(n), robot.arm
     for j in range(n):
-        rows = rows_of(recordings, drives[j], j)
-        axis, ripple = fit_axis_with_ripple(recordings, rows, j, robot.joints[j],
+        rows = axis_fit.rows_of(recordings, drives[j], j)
+        axis, ripple = axis_fit.fit_axis_with_ripple(recordings, rows, j, robot.joints[j],
                                             recordings[0].source, arm.axes == 'rotary')
         ripples.append(ripple)
         inertia = _inertia_to_use(axis, rows)
@@ -150,8 +138,8 @@ def _drive_of(recordings, arm, joint):
     """Return the function that gives the torque on a link: its spring, or its motor."""
     measured = all(np.isfinite(recording.q_motor[:, joint]).any() for recording in recordings)
     if arm.rigid[joint] or not measured:
-        return held_torque(joint)
-    return spring_torque(joint, arm.stiffness[joint], arm.damping[joint])
+        return axis_fit.held_torque(joint)
+    return axis_fit.spring_torque(joint, arm.stiffness[joint], arm.damping[joint])
 
 
 def with_motors(arm: ArmParams, motors: Sequence) -> ArmParams:
@@ -230,7 +218,8 @@ def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence,
 def _axis_numbers(arm, arm_fit, joint, theta):
     """Return inertia, cosine, sine and constant torque of an axis, corrected (4,)."""
     values = np.append(axis_of(arm, joint), arm_fit.constant[joint])
-    values[arm_fit.numbers[joint]] += arm_fit.corrections(joint, theta)
+    units = arm_fit.units[joint]
+    values[arm_fit.numbers[joint]] += theta[len(theta) - len(units):] * units
     return values
 
 
@@ -279,7 +268,7 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
         known = error < WIDE
         rows.append(estimated(f'{name}.offset', 'rad', angle, error,
                               '' if known else _NEEDS_GRAVITY, known))
-    ripple, of_ripple = arm_fit.ripples[joint], f'effects.{robot.joints[joint]}.{RIPPLE}'
+    ripple, of_ripple = arm_fit.ripples[joint], f'effects.{robot.joints[joint]}.{axis_fit.RIPPLE}'
     if ripple:
         rows += [estimated(f'{of_ripple}.amplitude', 'N m', ripple.amplitude,
                            ripple.amplitude_error,
@@ -307,7 +296,7 @@ def _motor_rows(motor, name, rigid):
         if rigid and part == 'motor_inertia':
             continue
         note = '' if known else _NEEDS_MOTOR
-        if not known and motor.skew >= SKEWED:
+        if not known and motor.skew >= axis_fit.SKEWED:
             note = ('most of the torsion goes with the velocity, as if the two encoders were read '
                     'at different times: that looks like a soft spring or damping and is neither')
         rows.append(estimated(f'{name}.{part}', unit, value, error, note, bool(known)))

@@ -4,16 +4,8 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import (
-    derivative_window,
-    Fit,
-    friction_columns,
-    is_moving,
-    quantum,
-    sign_fit,
-    smoothed,
-)
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification import check_limits as limits
 from gms_flex_control.params.robot import RobotParams
@@ -63,12 +55,13 @@ class Motion(NamedTuple):
 
 def filtered(signals: Recording, robot: RobotParams) -> Motion:
     """Return the Motion of a recording."""
-    window = max(derivative_window(signals.time, q) for q in signals.q_link.T)
+    window = max(analysis.derivative_window(signals.time, q) for q in signals.q_link.T)
     sides = [signals.q_link.T, np.where(robot.arm.rigid, signals.q_link, signals.q_motor).T,
              signals.tau_motor.T]
     known = np.all(np.isfinite(signals.q_link), axis=1)
     time, gap = signals.time, 3 * signals.period
-    rows = smoothed(time, [time, *(channel for side in sides for channel in side)], window)
+    rows = analysis.smoothed(
+        time, [time, *(channel for side in sides for channel in side)], window)
     at, n = rows[0].value, len(signals.joints)
     stamps = time[known]
     wide = np.flatnonzero(np.diff(stamps) > max(gap, window / 8))
@@ -82,7 +75,7 @@ def filtered(signals: Recording, robot: RobotParams) -> Motion:
     unknown = ~np.isfinite(signals.tau_motor[2:]).any(axis=0)
     torque = np.stack([part.value[good] for part in tau], axis=1)
     torque[:, unknown] = np.nan
-    moved = [len(at) and np.ptp(part.value) > limits.TRAVEL * quantum(q)
+    moved = [len(at) and np.ptp(part.value) > limits.TRAVEL * analysis.quantum(q)
              for part, q in zip(link, signals.q_link.T, strict=True)]
     result = Motion(*(np.stack(column, axis=1) for column in columns), torque,
                     np.array(moved, dtype=bool))
@@ -114,19 +107,19 @@ def torque_joints(robot: RobotParams, motion: Motion) -> list[int]:
 def spring_fit(tau, acceleration, torsion) -> tuple[float, float]:
     """Return what inertia and spring explain of a torque (S,), and the share the spring adds."""
     free = [np.ones_like(tau)]
-    both = sign_fit(tau, [acceleration, torsion], free).as_is
-    alone = sign_fit(tau, [acceleration], free).as_is
+    both = analysis.sign_fit(tau, [acceleration, torsion], free).as_is
+    alone = analysis.sign_fit(tau, [acceleration], free).as_is
     return both, (both - alone) / max(1.0 - alone, 1e-12)
 
 
-def balance_fit(motion: Motion, tau, total, j: int) -> tuple[Fit, Fit] | None:
+def balance_fit(motion: Motion, tau, total, j: int) -> tuple[analysis.Fit, analysis.Fit] | None:
     """Return fits of a torque (S,) by bodies and friction, gravity fixed and free, or None."""
-    rows = is_moving(motion.dq_link[:, j])
+    rows = analysis.is_moving(motion.dq_link[:, j])
     if rows.sum() < limits.FEWEST_ROWS:
         return None
     angle = motion.q_link[rows, j]
-    columns = [total[rows, j], *friction_columns(motion.dq_link[rows, j])]
+    columns = [total[rows, j], *analysis.friction_columns(motion.dq_link[rows, j])]
     constant = np.ones(int(rows.sum()))
-    known = sign_fit(tau[rows], columns, [constant])
-    loose = sign_fit(tau[rows], columns, [constant, np.sin(angle), np.cos(angle)])
+    known = analysis.sign_fit(tau[rows], columns, [constant])
+    loose = analysis.sign_fit(tau[rows], columns, [constant, np.sin(angle), np.cos(angle)])
     return known, loose

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gms_flex_control import __version__
 from gms_flex_control.data.conditions import NAME, with_found
-from gms_flex_control.file_io import plain, write_json, write_text
+from gms_flex_control.file_io import plain, write_text
 from gms_flex_control.identification.outcome import (
     CONFIDENT,
     data_sentence,
@@ -53,11 +53,6 @@ def _joint(result):
                       for estimate in result.estimates],
         'candidates': [candidate._asdict() for candidate in result.candidates],
         'held_out': result.held_out._asdict(), 'warnings': result.warnings}
-
-
-def write_report_json(identification: Identification, path) -> None:
-    """Write `report_json` to ``path``, whole or not at all."""
-    write_json(path, report_json(identification))
 
 
 def condition_files(identification: Identification, folder) -> dict:

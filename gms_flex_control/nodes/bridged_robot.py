@@ -4,16 +4,10 @@
 import sys
 import time
 
+from gms_flex_control.hardware import supervision
 from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.foresight import Foresight
 from gms_flex_control.hardware.mapping import ReadingError
-from gms_flex_control.hardware.supervision import (
-    BRIDGED,
-    LATE,
-    NOTABLE,
-    Outcome,
-    SupervisedRobot,
-)
 from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
 from gms_flex_control.nodes.topics import Inbox, Outlet
@@ -28,7 +22,7 @@ _SWITCH = 1e-3             # for so long a look may wait for a state that is han
 _ZERO_PERIOD = 10_000_000  # period of zero torque without commands [ns]
 
 
-class BridgedRobot(SupervisedRobot):
+class BridgedRobot(supervision.SupervisedRobot):
     """
     Joint states of a robot to the controller, its commands to the robot, within limits.
 
@@ -88,8 +82,8 @@ class BridgedRobot(SupervisedRobot):
 
     def _pass_on(self, robot):
         self._state_pub.publish(self._writer.write(robot.measured, robot.applied, robot.stamp))
-        if self._bridge.controller.lateness.share > NOTABLE:
-            self._health.warn('late', f'{self._bridge.controller.lateness}: {LATE}')
+        if self._bridge.controller.lateness.share > supervision.NOTABLE:
+            self._health.warn('late', f'{self._bridge.controller.lateness}: {supervision.LATE}')
 
     def _on_command(self, message):
         """Return whether the message is a command, to be obeyed or not."""
@@ -156,20 +150,20 @@ class BridgedRobot(SupervisedRobot):
             return (self._health.fault or self._bridge.obstacle(self.now())
                     or self._link.obstacle() or ('the bridge ends' if self._ends else ''))
 
-    def enable(self, refusals=None) -> Outcome:
+    def enable(self, refusals=None) -> supervision.Outcome:
         """Let torque flow, unless it was taken away since there were ``refusals``."""
         with self._lock:
             obstacle = self.obstacle()
             if obstacle:
-                return Outcome(False, f'not enabled: {obstacle}')
+                return supervision.Outcome(False, f'not enabled: {obstacle}')
             return self._outdated(refusals) or self._settled(self._bridge.enable(self.now()))
 
-    def disable(self) -> Outcome:
+    def disable(self) -> supervision.Outcome:
         """Take torque away; return an Outcome."""
         with self._lock:
             return self._settled(self._supervisor.disable())
 
-    def reset(self) -> Outcome:
+    def reset(self) -> supervision.Outcome:
         """Leave a fault; return an Outcome."""
         with self._lock:
             return self._settled(self._supervisor.reset())
@@ -244,7 +238,8 @@ class BridgedRobot(SupervisedRobot):
             self._counted = counters, now
             rates = {f'rate of {name} [Hz]': round(
                 (counters.get(name, 0) - before.get(name, 0)) / max(now - since, 1e-3), 1)
-                for name in ('states in', BRIDGED[0], 'commands in', 'commands acted on')}
+                for name in ('states in', supervision.BRIDGED[0], 'commands in',
+                             'commands acted on')}
             return {
                 'state': self._supervisor.state, 'reason': self._supervisor.reason, **rates,
                 **counters, 'faults': self._supervisor.faults,

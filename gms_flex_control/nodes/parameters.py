@@ -162,8 +162,9 @@ class NodeParameters:
         for name in given:
             node.undeclare_parameter(name)
         for name, key in self._keys.items():
-            node.declare_parameter(name, _ros_value(key, self.values[name]), _descriptor(key),
-                                   ignore_override=True)
+            value = self.values[name]
+            node.declare_parameter(name, list(value) if key.kind.endswith('_array') else value,
+                                   _descriptor(key), ignore_override=True)
 
     @staticmethod
     def _value(key, given):
@@ -255,7 +256,3 @@ def _of_topic(node, name):
     path.write_text(taken[0].data, encoding='utf-8')
     node.get_logger().info(f'the URDF of {topic} is taken')
     return str(path)
-
-
-def _ros_value(key, value):
-    return list(value) if key.kind.endswith('_array') else value

@@ -6,13 +6,7 @@ import time
 
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.hardware import limits as limiting
-from gms_flex_control.hardware.supervision import (
-    CommandWatch,
-    Outcome,
-    SIMULATED,
-    SupervisedRobot,
-    Supervisor,
-)
+from gms_flex_control.hardware import supervision
 from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.pacing import Lockstep, Paced
@@ -85,7 +79,7 @@ class _Arm:
         return self._samples is not None and self.ticks + 1 >= self._samples
 
 
-class SimulatedRobot(SupervisedRobot):
+class SimulatedRobot(supervision.SupervisedRobot):
     """
     A robot that is simulated sample by sample.
 
@@ -100,7 +94,8 @@ class SimulatedRobot(SupervisedRobot):
         self._listeners = values['wait_for_subscribers']
         self._arm = _Arm(node, values, joints)
         self._pace = (Lockstep if self._lockstep else Paced)(self, self._arm, node, values)
-        self._supervisor, self._commands = Supervisor('no command yet'), CommandWatch()
+        self._supervisor = supervision.Supervisor('no command yet')
+        self._commands = supervision.CommandWatch()
         self._wanted = True      # whether commands enable torque
         self._passing = False    # whether the fault passes by itself
         self._said, self._refused = None, 0
@@ -189,20 +184,20 @@ class SimulatedRobot(SupervisedRobot):
         """Return what stands against torque now (str)."""
         return self._health.fault
 
-    def enable(self, refusals=None) -> Outcome:
+    def enable(self, refusals=None) -> supervision.Outcome:
         """Let torque flow as soon as there is a command; as BridgedRobot.enable."""
         with self._lock:
             outdated = self._outdated(refusals)
             self._wanted = self._wanted or not outdated
             return outdated or self._settled(self._supervisor.enable())
 
-    def disable(self) -> Outcome:
+    def disable(self) -> supervision.Outcome:
         """Take torque away until `enable`; return an Outcome."""
         with self._lock:
             self._wanted = False
             return self._settled(self._supervisor.disable())
 
-    def reset(self) -> Outcome:
+    def reset(self) -> supervision.Outcome:
         """Leave a fault; `enable` then lets torque flow again. Return an Outcome."""
         with self._lock:
             self._wanted = self._wanted and self._supervisor.state != 'FAULT'
@@ -220,9 +215,9 @@ class SimulatedRobot(SupervisedRobot):
         """Return what to report on /diagnostics."""
         return {
             'state': self._supervisor.state, 'reason': self._supervisor.reason,
-            **dict(zip(SIMULATED, (self._arm.ticks, self._pace.missed, self._pace.left_out),
-                       strict=True)), 'commands refused': self._refused,
-            'faults': self._supervisor.faults,
+            **dict(zip(supervision.SIMULATED, (
+                self._arm.ticks, self._pace.missed, self._pace.left_out), strict=True)),
+            'commands refused': self._refused, 'faults': self._supervisor.faults,
             **self._commands.figures(time.monotonic_ns())}
 
     def finish(self) -> None:

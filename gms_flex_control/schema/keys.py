@@ -212,13 +212,6 @@ def identification_keys(joints) -> tuple[Key, ...]:
             *_of_each(joints, 'identification', _IDENTIFIED))
 
 
-def all_node_keys(joints) -> tuple[Key, ...]:
-    """Return the keys of all nodes beyond robot and gains."""
-    return (*CONTROLLER_NODE, *plant_node_keys(joints), *trajectory_keys(joints),
-            *identification_keys(joints), *IDENTIFICATION_NODE, *safety_keys(joints),
-            *bridge_keys(joints))
-
-
 def _of_each(joints, prefix, keys):
     """Return keys below ``prefix.<joint>`` of each joint."""
     return tuple(key for joint in joints for key in below(f'{prefix}.{joint}', keys))
@@ -273,7 +266,9 @@ def controller_keys(joints) -> tuple[Key, ...]:
 
 def all_keys(joints) -> dict[str, Key]:
     """Return the keys of all nodes by name, for one file shared by all."""
-    keys = (*robot_keys(joints), *controller_keys(joints), *all_node_keys(joints))
+    keys = (*robot_keys(joints), *controller_keys(joints), *CONTROLLER_NODE,
+            *plant_node_keys(joints), *trajectory_keys(joints), *identification_keys(joints),
+            *IDENTIFICATION_NODE, *safety_keys(joints), *bridge_keys(joints))
     return {key.name: key for key in keys}
 
 

@@ -168,10 +168,8 @@ class _Tree:
         if tip and tip not in self._links:
             raise ConfigError(f'has no link {tip!r} that arm.tip names'
                               f'{did_you_mean(tip, self._links)}')
-        return tip or max((known[name] for name in names), key=self._depth).child
-
-    def _depth(self, joint):
-        return len(self._path(joint.child, ''))
+        return tip or max((known[name].child for name in names),
+                          key=lambda link: len(self._path(link, '')))
 
     def _path(self, link, base):
         """Return the joints from ``base``, or the root, to a link."""

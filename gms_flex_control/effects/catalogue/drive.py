@@ -4,6 +4,7 @@
 from dataclasses import replace
 import math
 
+from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import (
     Change,
     Guess,
@@ -16,18 +17,6 @@ from gms_flex_control.effects.base import (
     Stage,
     Term,
     waves,
-)
-from gms_flex_control.effects.signals import (
-    DDQ_LINK,
-    DDQ_MOTOR,
-    DQ_MOTOR,
-    JOINT,
-    LINK_TORQUE,
-    MOTOR_TORQUE,
-    Q_MOTOR,
-    SUPPLY,
-    TORQUE,
-    WIDTH,
 )
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -87,9 +76,9 @@ class MotorInertiaCoupling(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        if s[JOINT] > 0.5:
-            s[LINK_TORQUE - WIDTH] -= p[0] * s[DDQ_MOTOR]
-            s[MOTOR_TORQUE] -= p[0] * s[DDQ_LINK - WIDTH]
+        if s[sig.JOINT] > 0.5:
+            s[sig.LINK_TORQUE - sig.WIDTH] -= p[0] * s[sig.DDQ_MOTOR]
+            s[sig.MOTOR_TORQUE] -= p[0] * s[sig.DDQ_LINK - sig.WIDTH]
 
 
 class MotorViscous(Term):
@@ -110,7 +99,7 @@ class MotorViscous(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[MOTOR_TORQUE] -= p[0] * s[DQ_MOTOR]
+        s[sig.MOTOR_TORQUE] -= p[0] * s[sig.DQ_MOTOR]
 
 
 class MotorCoulomb(Term):
@@ -129,7 +118,7 @@ class MotorCoulomb(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[MOTOR_TORQUE] -= p[0] * min(max(s[DQ_MOTOR] * 1e3, -1.0), 1.0)
+        s[sig.MOTOR_TORQUE] -= p[0] * min(max(s[sig.DQ_MOTOR] * 1e3, -1.0), 1.0)
 
 
 class MotorTorqueBias(Term):
@@ -148,7 +137,7 @@ class MotorTorqueBias(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[MOTOR_TORQUE] += p[0]
+        s[sig.MOTOR_TORQUE] += p[0]
 
 
 class TorqueRipple(Term):
@@ -172,7 +161,7 @@ class TorqueRipple(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[MOTOR_TORQUE] += p[0] * np.sin(p[1] * s[Q_MOTOR] + p[2])
+        s[sig.MOTOR_TORQUE] += p[0] * np.sin(p[1] * s[sig.Q_MOTOR] + p[2])
 
 
 class SecondTorqueRipple(TorqueRipple):
@@ -208,7 +197,7 @@ class TorqueGain(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[TORQUE] *= 1.0 + p[0]
+        s[sig.TORQUE] *= 1.0 + p[0]
 
 
 class ActuatorDeadzone(Term):
@@ -227,7 +216,7 @@ class ActuatorDeadzone(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[TORQUE] -= min(max(s[TORQUE], -p[0]), p[0])
+        s[sig.TORQUE] -= min(max(s[sig.TORQUE], -p[0]), p[0])
 
 
 _EXCEEDED = 0.8  # of the largest command: a limit above
@@ -250,7 +239,7 @@ class ActuatorSaturation(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[TORQUE] = min(max(s[TORQUE], -p[0]), p[0])
+        s[sig.TORQUE] = min(max(s[sig.TORQUE], -p[0]), p[0])
 
 
 class ActuatorLag(Term):
@@ -272,9 +261,9 @@ class ActuatorLag(Term):
     @staticmethod
     def apply(s, p, memory, dt) -> None:
         if p[0] > 0.0:
-            short, gone = memory[0] - s[TORQUE], -np.expm1(-dt / p[0])
+            short, gone = memory[0] - s[sig.TORQUE], -np.expm1(-dt / p[0])
             memory[0] -= short * gone
-            s[TORQUE] += short * gone * p[0] / dt
+            s[sig.TORQUE] += short * gone * p[0] / dt
 
 
 _SLOTS = 32  # commands that can be on their way
@@ -301,11 +290,11 @@ class InputDelay(Term):
         if p[0] <= 0.0:
             return
         newest = int(memory[1])
-        if s[TORQUE] != memory[3 + 2 * newest]:
+        if s[sig.TORQUE] != memory[3 + 2 * newest]:
             if memory[0] - memory[2 + 2 * newest] >= p[0] / (_SLOTS - 2):
                 newest = (newest + 1) % _SLOTS
                 memory[1], memory[2 + 2 * newest] = newest, memory[0]
-            memory[3 + 2 * newest] = s[TORQUE]
+            memory[3 + 2 * newest] = s[sig.TORQUE]
         begin = memory[0] - p[0]
         end, total = begin + dt, 0.0
         until, slot = memory[0] + dt, newest
@@ -317,7 +306,7 @@ class InputDelay(Term):
                 break
             until, slot = since, (slot - 1) % _SLOTS
         memory[0] += dt
-        s[TORQUE] = total / dt
+        s[sig.TORQUE] = total / dt
 
 
 class SupplySag(Term):
@@ -350,5 +339,5 @@ class SupplySag(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        if s[SUPPLY] > 0.0:
-            s[TORQUE] *= 1.0 + p[0] * (s[SUPPLY] - p[1])
+        if s[sig.SUPPLY] > 0.0:
+            s[sig.TORQUE] *= 1.0 + p[0] * (s[sig.SUPPLY] - p[1])

@@ -1,24 +1,8 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Effects on what is read: encoders, the stamps of a recording, a base that moves with them."""
 
+from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Guess, linear, Parameter, Stage, Term, wave
-from gms_flex_control.effects.signals import (
-    BASE,
-    BASE_RATE,
-    DDQ_LINK,
-    DDQ_MOTOR,
-    DQ_LINK,
-    DQ_MOTOR,
-    FRICTION,
-    JOINTS,
-    Q_LINK,
-    SENSED_LINK,
-    SENSED_LINK_RATE,
-    SENSED_MOTOR,
-    SENSED_MOTOR_RATE,
-    TORQUE,
-    WIDTH,
-)
 import numpy as np
 
 
@@ -37,8 +21,8 @@ class EncoderSkew(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[SENSED_MOTOR] -= p[0] * (s[DQ_MOTOR] - 0.5 * p[0] * s[DDQ_MOTOR])
-        s[SENSED_MOTOR_RATE] -= p[0] * s[DDQ_MOTOR]
+        s[sig.SENSED_MOTOR] -= p[0] * (s[sig.DQ_MOTOR] - 0.5 * p[0] * s[sig.DDQ_MOTOR])
+        s[sig.SENSED_MOTOR_RATE] -= p[0] * s[sig.DDQ_MOTOR]
 
 
 class LinkEncoderEccentricity(Term):
@@ -58,8 +42,8 @@ class LinkEncoderEccentricity(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[SENSED_LINK] += p[0] * np.sin(s[Q_LINK] + p[1])
-        s[SENSED_LINK_RATE] += p[0] * np.cos(s[Q_LINK] + p[1]) * s[DQ_LINK]
+        s[sig.SENSED_LINK] += p[0] * np.sin(s[sig.Q_LINK] + p[1])
+        s[sig.SENSED_LINK_RATE] += p[0] * np.cos(s[sig.Q_LINK] + p[1]) * s[sig.DQ_LINK]
 
 
 _BEYOND = 1.0  # for how long the first and the last torque are held outside the recording [s]
@@ -112,14 +96,14 @@ class RecordingDelay(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        for j in range(int(s[JOINTS])):
-            k = WIDTH * j
-            s[k + SENSED_LINK] -= p[0] * (s[k + DQ_LINK] - 0.5 * p[0] * s[
-                k + DDQ_LINK])
-            s[k + SENSED_MOTOR] -= p[0] * (s[k + DQ_MOTOR] - 0.5 * p[0] * s[
-                k + DDQ_MOTOR])
-            s[k + SENSED_LINK_RATE] -= p[0] * s[k + DDQ_LINK]
-            s[k + SENSED_MOTOR_RATE] -= p[0] * s[k + DDQ_MOTOR]
+        for j in range(int(s[sig.JOINTS])):
+            k = sig.WIDTH * j
+            s[k + sig.SENSED_LINK] -= p[0] * (s[k + sig.DQ_LINK] - 0.5 * p[0] * s[
+                k + sig.DDQ_LINK])
+            s[k + sig.SENSED_MOTOR] -= p[0] * (s[k + sig.DQ_MOTOR] - 0.5 * p[0] * s[
+                k + sig.DDQ_MOTOR])
+            s[k + sig.SENSED_LINK_RATE] -= p[0] * s[k + sig.DDQ_LINK]
+            s[k + sig.SENSED_MOTOR_RATE] -= p[0] * s[k + sig.DDQ_MOTOR]
 
 
 class BaseFlexibility(Term):
@@ -159,16 +143,16 @@ class BaseFlexibility(Term):
     def apply(s, p, memory, dt) -> None:
         w = 2.0 * np.pi * p[0]
         if w > 0.0 and p[1] > 0.0:
-            rest = (s[FRICTION] - s[TORQUE]) / (p[1] * w * w)
+            rest = (s[sig.FRICTION] - s[sig.TORQUE]) / (p[1] * w * w)
             swing = w * np.sqrt(1.0 - p[2] * p[2])
             x, rate = memory[0] - rest, memory[1]
             cosine, sine = np.cos(swing * dt), np.sin(swing * dt) / swing
             decay = np.exp(-p[2] * w * dt)
             memory[0] = rest + decay * (x * cosine + (rate + p[2] * w * x) * sine)
             memory[1] = decay * (rate * cosine - (p[2] * w * rate + w * w * x) * sine)
-            s[SENSED_LINK] -= memory[0]
-            s[SENSED_MOTOR] -= memory[0]
-            s[SENSED_LINK_RATE] -= memory[1]
-            s[SENSED_MOTOR_RATE] -= memory[1]
-            s[BASE] += memory[0]
-            s[BASE_RATE] += memory[1]
+            s[sig.SENSED_LINK] -= memory[0]
+            s[sig.SENSED_MOTOR] -= memory[0]
+            s[sig.SENSED_LINK_RATE] -= memory[1]
+            s[sig.SENSED_MOTOR_RATE] -= memory[1]
+            s[sig.BASE] += memory[0]
+            s[sig.BASE_RATE] += memory[1]
