@@ -10,13 +10,9 @@ from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.errors import BagError, ConfigError, IdentificationError
+from gms_flex_control.identification import assumed_robot
 from gms_flex_control.identification.arm_differences import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
-from gms_flex_control.identification.assumed_robot import (
-    believed_model,
-    rigid_joints,
-    with_torques,
-)
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
 from gms_flex_control.identification.output import friction_values
@@ -206,8 +202,8 @@ def test_a_recording_that_is_not_of_this_urdf_is_refused_in_a_sentence(
                              changed.items()})
     given = robot if whole else replace(robot, arm=arm)
     with pytest.raises(IdentificationError, match=sentence):
-        require(wrong, believed_model(given, whole, False), rough=whole)
-    assert not require(bare, believed_model(given, whole, False), rough=whole)
+        require(wrong, assumed_robot.believed_model(given, whole, False), rough=whole)
+    assert not require(bare, assumed_robot.believed_model(given, whole, False), rough=whole)
 
 
 def test_a_load_that_is_unknown_is_found_beside_a_recording_without_one(hidden):
@@ -308,7 +304,7 @@ def test_a_joint_without_torque_keeps_its_friction_and_the_others_are_identified
     np.testing.assert_allclose(found.robot.friction.forward.coulomb[[0, 3]], coulomb[[0, 3]],
                                rtol=0.05)
     assert found.robot.friction.forward.coulomb[1] == robot.friction.forward.coulomb[1]
-    links = fit_base_parameters([with_torques(recorded, robot)], robot)
+    links = fit_base_parameters([assumed_robot.with_torques(recorded, robot)], robot)
     assert np.isfinite(links.values).all() and np.isfinite(links.error).all()
 
 
@@ -316,7 +312,7 @@ def test_an_axis_without_torque_does_not_end_the_fit_of_another():
     time = np.arange(0.0, 20.0, 0.004)
     q = 0.5 * np.sin(time) + 0.3 * np.sin(2.3 * time)
     rate, bend = np.gradient(q, time), np.gradient(np.gradient(q, time), time)
-    robot = rigid_joints(('turn', 'lift'))
+    robot = assumed_robot.rigid_joints(('turn', 'lift'))
     drive = bend + 0.8 * np.tanh(rate / 1e-3) + 0.2 * rate
     recorded = Recording(joints=robot.joints, time=time, source='axes', q_link=np.stack([q, q], 1),
                          tau_motor=np.stack([drive, np.full(len(q), np.nan)], axis=1))

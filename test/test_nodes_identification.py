@@ -8,13 +8,7 @@ import warnings
 from bench.identification_simulated import read_identification_plan
 from gms_flex_control.data.reader import read_experiment
 from gms_flex_control.design.determination import experiments_for
-from gms_flex_control.schema.files import (
-    load_controller,
-    load_limits,
-    load_robot,
-    save_robot,
-    save_values,
-)
+from gms_flex_control.schema import files
 from node_harness import (
     CONFIG,
     FILES,
@@ -64,8 +58,8 @@ class Experiment(Lab):
 
     @property
     def plan(self):
-        robot = load_robot(FILES[0])
-        return read_identification_plan([self.file], robot, load_controller(FILES[1], robot))
+        robot = files.load_robot(FILES[0])
+        return read_identification_plan([self.file], robot, files.load_controller(FILES[1], robot))
 
     def begin(self, **parameters):
         """Start all four; the plant when three listen."""
@@ -116,14 +110,14 @@ def test_a_whole_experiment_is_recorded_with_its_phases(lab):
 
 def test_experiments_that_next_plans_find_what_was_believed_wrong_within_the_limits(lab):
     """F_s of joint2 is believed 25 % too large; the torque that moves it says so."""
-    true, limits = load_robot(FILES[0]), load_limits([CONFIG / 'bridge.yaml'], JOINTS)
+    true, limits = files.load_robot(FILES[0]), files.load_limits([CONFIG / 'bridge.yaml'], JOINTS)
     believed = replace(true, friction=replace(true.friction, **{side: replace(
         getattr(true.friction, side), static=getattr(true.friction, side).static * [1.0, 1.25])
         for side in ('forward', 'backward')}))
     planned = experiments_for([('static', 'joint2')], [believed],
-                              load_controller(FILES[1], believed), limits)
-    save_robot(believed, lab.folder / 'believed.yaml')
-    save_values(planned.values | {'identification.break_away_repeats': 1},
+                              files.load_controller(FILES[1], believed), limits)
+    files.save_robot(believed, lab.folder / 'believed.yaml')
+    files.save_values(planned.values | {'identification.break_away_repeats': 1},
                 lab.folder / 'identification.yaml', comment=planned.sentence())
     lab.file, lab.believed = lab.folder / 'identification.yaml', lab.folder / 'believed.yaml'
     node = lab.begin()

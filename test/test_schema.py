@@ -10,13 +10,7 @@ from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.schema.files import (
-    load_controller,
-    load_robot,
-    load_robot_to_identify,
-    save_robot,
-    wrapped,
-)
+from gms_flex_control.schema import files
 from gms_flex_control.schema.keys import controller_keys
 import numpy as np
 import pytest
@@ -106,9 +100,9 @@ def test_a_saved_robot_is_read_back_as_it_was(robot, tmp_path):
                EffectSpec(name='gravity_tilt', joint='arm', values=(0.01, 1.0)))
     before = replace(robot, motors=('', 'joint2_motor'), arm=arm, friction=friction,
                      effects=effects)
-    save_robot(before, tmp_path / 'saved.yaml', comment=wrapped(
+    files.save_robot(before, tmp_path / 'saved.yaml', comment=files.wrapped(
         ['Found by', 12 * 'nine chars ']) + '\nand  a table')
-    after = load_robot(tmp_path / 'saved.yaml')
+    after = files.load_robot(tmp_path / 'saved.yaml')
     assert_same(replace(after, effects=()), replace(before, effects=()))
     assert set(after.effects) == set(before.effects)
     text = (tmp_path / 'saved.yaml').read_text(encoding='utf-8')
@@ -119,14 +113,14 @@ def test_a_saved_robot_is_read_back_as_it_was(robot, tmp_path):
 
 def test_whole_numbers_are_taken_for_doubles(tmp_path):
     path = written(tmp_path, changed('mass: 1.0 ', 'mass: 2 '))
-    assert load_robot(path).arm.mass[1] == 2.0
+    assert files.load_robot(path).arm.mass[1] == 2.0
 
 
 def test_a_file_may_hold_robot_and_controller_and_settings_of_nodes(robot, tmp_path):
     whole = ROBOT + CONTROLLER.split('ros__parameters:\n')[1] + '    rate: 1000.0\n'
     path = written(tmp_path, whole)
-    assert_same(load_robot(path), robot)
-    assert load_controller(path, robot).compensation == 'gms'
+    assert_same(files.load_robot(path), robot)
+    assert files.load_controller(path, robot).compensation == 'gms'
 
 
 # what is wrong: (old text, new text), the line it stands on, the sentence
@@ -172,7 +166,7 @@ def test_what_is_wrong_in_a_robot_file_is_said_with_its_line(old, new, sentence,
     text = changed(old, new)
     path = written(tmp_path, text)
     with pytest.raises((ConfigError, ParameterError)) as error:
-        load_robot(path)
+        files.load_robot(path)
     message = str(error.value)
     assert sentence in message
     found = re.match(re.escape(str(path)) + r':(\d+): ', message)
@@ -216,7 +210,7 @@ def test_what_is_wrong_in_a_robot_file_is_said_with_its_line(old, new, sentence,
 def test_a_file_that_is_no_robot_is_refused_by_name(text, sentence, tmp_path):
     path = written(tmp_path, text)
     with pytest.raises((ConfigError, ParameterError)) as error:
-        load_robot(path)
+        files.load_robot(path)
     assert str(error.value).startswith(str(path))
     assert sentence in str(error.value)
 
@@ -227,19 +221,19 @@ def test_friction_that_is_to_be_identified_need_not_be_stated(tmp_path, robot):
     _, joint2, of_joint2 = friction.partition('      joint2:\n')
     path = written(tmp_path, f'{arm}    friction:\n{joint2}{of_joint2}')
     with pytest.raises(ConfigError, match=r'friction\.joint1\.forward\.static is missing'):
-        load_robot(path)
-    found = load_robot_to_identify(path)
+        files.load_robot(path)
+    found = files.load_robot_to_identify(path)
     assert found.arm.mass.tolist() == robot.arm.mass.tolist()
     assert found.friction.forward.static[1] == robot.friction.forward.static[1]
     path.write_text(changed('attraction: 1.5', '#'), encoding='utf-8')
     with pytest.raises(ConfigError, match=r'friction\.joint1\.attraction is missing'):
-        load_robot_to_identify(path)
+        files.load_robot_to_identify(path)
 
 
 @pytest.mark.parametrize('place', ['nowhere.yaml', '.'])
 def test_a_file_that_cannot_be_read_is_named(place, tmp_path):
     with pytest.raises(ConfigError, match=r'cannot be read \((No such file|Is a directory)'):
-        load_robot(tmp_path / place)
+        files.load_robot(tmp_path / place)
 
 
 @pytest.mark.parametrize(('old', 'new', 'sentence'), [
@@ -255,7 +249,7 @@ def test_a_file_that_cannot_be_read_is_named(place, tmp_path):
 def test_what_is_wrong_in_a_controller_file_is_said(robot, old, new, sentence, tmp_path):
     path = written(tmp_path, changed(old, new, CONTROLLER), 'controller.yaml')
     with pytest.raises((ConfigError, ParameterError)) as error:
-        load_controller(path, robot)
+        files.load_controller(path, robot)
     assert str(error.value).startswith(str(path))
     assert sentence in str(error.value) and str(error.value).count('lugre') <= 1
 
@@ -265,7 +259,7 @@ def test_reordered_joints_keep_their_values(robot, tmp_path):
     text = changed('[joint1, joint2]', '[joint2, joint1]')
     path = written(tmp_path, changed('[joint1_motor, joint2_motor]',
                                      '[joint2_motor, joint1_motor]', text))
-    swapped = load_robot(path)
+    swapped = files.load_robot(path)
     np.testing.assert_array_equal(swapped.arm.mass, robot.arm.mass[::-1])
     np.testing.assert_array_equal(swapped.friction.stiffness, robot.friction.stiffness[::-1])
 
@@ -276,7 +270,7 @@ def test_joints_may_have_different_numbers_of_blocks(robot, tmp_path):
     text = changed(weights, 'weight: [0.25, 0.75]')
     path = written(tmp_path, changed('[2.26, 5.93, 6.95, 64.24, 11.45, 111.41]', '[5.0, 50.0]',
                                      text))
-    friction = load_robot(path).friction
+    friction = files.load_robot(path).friction
     assert friction.stiffness.shape == (2, 6)
     np.testing.assert_array_equal(friction.stiffness[0], [5.0, 50.0, 0.0, 0.0, 0.0, 0.0])
     np.testing.assert_array_equal(friction.weight[0], [0.25, 0.75, 0.0, 0.0, 0.0, 0.0])
@@ -310,5 +304,5 @@ def test_a_value_in_the_place_of_a_group_is_told_from_a_wrong_name(text, sentenc
     """With its own place, though another file has the group."""
     path = written(tmp_path, f'/**:\n  ros__parameters:\n    {text}\n')
     with pytest.raises(ConfigError) as error:
-        load_robot([CONFIG / 'robot.yaml', path])
+        files.load_robot([CONFIG / 'robot.yaml', path])
     assert str(error.value).startswith(f'{path}:3: {sentence}')

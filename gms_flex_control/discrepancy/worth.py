@@ -49,11 +49,7 @@ class Worth(NamedTuple):
 
 
 def plausible_limit(likelihood, model) -> np.ndarray:
-    """
-    Return how far known parameters may go where they stand for an effect of a model, (P,).
-
-    In standard deviations of their priors; as far as the model has them in any case.
-    """
+    """Return how far (P,) known parameters that stand for an effect may go, or are already."""
     return np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
 
 

@@ -56,12 +56,7 @@ class Parameter:
 
 
 class Effect(ABC):
-    """
-    A named effect a model can have or lack.
-
-    Subclasses are final: either a `Term`, which computes while the robot moves, or a
-    `Change`, which alters the parameters once, before the run.
-    """
+    """A named effect: final subclasses are a `Term` of the motion, or a `Change` of parameters."""
 
     name: str                 # in robot files and reports
     words = ''                # what it is, such as 'Play in the transmission'

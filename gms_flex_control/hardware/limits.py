@@ -92,12 +92,7 @@ def limit(command, before, elapsed, q, dq, most, rate, velocity, lower, upper, t
 
 @compiled
 def is_within(now, before, elapsed, least, most, fastest, torsion) -> bool:
-    """
-    Return whether `violation` and `jump` find nothing; fast, on the way of every command.
-
-    ``now`` and ``before`` (4, n_joints) are q_link, dq_link, q_motor, dq_motor; what follows
-    ``elapsed`` is `Limits.within`.
-    """
+    """Return whether `violation` and `jump` find nothing between two states (4, n); fast."""
     for j in range(now.shape[1]):
         far = fastest[j] * max(elapsed, _SHORTEST)
         if not (least[j] <= now[0, j] <= most[j] and abs(now[2, j] - now[0, j]) <= torsion[j]

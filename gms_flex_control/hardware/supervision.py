@@ -102,12 +102,7 @@ class Supervisor:
 
 
 class SupervisedRobot(ABC):
-    """
-    A robot whose torque a Supervisor lets flow; requests may come from any thread.
-
-    Subclasses set ``_supervisor``, a Supervisor, and ``_lock``, a lock that one thread may take
-    more than once.
-    """
+    """A robot under a ``_supervisor``, with a reentrant ``_lock``: any thread may ask of it."""
 
     @abstractmethod
     def _settle(self):

@@ -92,11 +92,7 @@ def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None) -> tu
 
 
 def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
-    """
-    Return what Rows has of a segment but the recording, blocks counted from 0.
-
-    None of a segment so short that the low-pass sees its ends everywhere.
-    """
+    """Return what Rows has of a segment, blocks from 0; None of one too short for the low-pass."""
     every = 2 * (segment.window // (2 * _THINNING)) + 1
     window = max(max(segment.window, round(_SMOOTHED / recording.period)) // every, 1)
     motion, torque = _differences(segment, every, recording.period)

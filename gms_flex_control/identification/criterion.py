@@ -260,11 +260,7 @@ def _belief(coordinates, free):
 
 
 def _is_beyond_chance(less):
-    """
-    Return whether torque is missed by less than blocks of time (B,) differ by.
-
-    Free runs do not say so: a few of them, which slip, have most of the error of all.
-    """
+    """Return whether less torque is missed (B,) than blocks differ by; free runs do not say so."""
     return len(less) > 1 and np.mean(less) > CONFIDENT * np.std(less, ddof=1) / np.sqrt(len(less))
 
 

@@ -135,11 +135,7 @@ class Health:
         return self._wrapped(callback, self._node.direct.lock)
 
     def shield(self, callback) -> Callable:
-        """
-        Return ``callback`` such that an exception ends in a fault, not in a dead executor.
-
-        The handler of a service then answers with ``success`` false, if its response has it.
-        """
+        """Return ``callback`` so that an exception is a fault, and its service answers false."""
         return self._wrapped(callback, nullcontext())
 
     def _wrapped(self, callback, lock):

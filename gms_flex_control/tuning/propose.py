@@ -50,11 +50,7 @@ class Proposal(NamedTuple):
 
 
 def propose(robot, base, demands) -> Proposal:
-    """
-    Propose gains for a robot as identified; compensation, observer and filters as in ``base``.
-
-    Where no gains meet the demands, ``unmet`` says which, and the gains are the nearest found.
-    """
+    """Propose gains, the nearest where ``unmet`` says why none fit; all else is as in ``base``."""
     base = replace(base, torque_limit=demands.torque_limit)
     caps = np.full(robot.n_joints, np.inf)
     for _ in range(_ROUNDS):
