@@ -23,8 +23,7 @@ from gms_flex_control.discrepancy.thresholds import CREDIBLE
 from gms_flex_control.errors import ConfigError, GmsFlexError, SimulationError
 from gms_flex_control.file_io import write_text
 from gms_flex_control.hardware.limits import Limits
-from gms_flex_control.reports.figure_style import save_figure
-from gms_flex_control.reports.pictures import COLOURS, panels_of, WIDTH
+from gms_flex_control.reports.figure_style import COLOURS, panels_of, save_figure, WIDTH
 import numpy as np
 
 GENTLE = 4.8          # times the time that limits allow to slow swings

@@ -12,15 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
+from gms_flex_control.design import separation
 from gms_flex_control.design.motions import below_break_away, by_hand, candidates
-from gms_flex_control.design.separation import (
-    Beliefs,
-    beliefs_of,
-    loop_of,
-    predicted,
-    Prediction,
-    resolving,
-)
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
@@ -46,18 +39,19 @@ ONE_LEFT, BUDGET, INSEPARABLE = 'one_left', 'budget_spent', 'inseparable'
 class NextRecording:
     """The motion to be recorded next."""
 
-    beliefs: Beliefs
+    beliefs: separation.Beliefs
     wanted: float             # log odds that leave one of a pair
-    best: Prediction          # the motion chosen
+    best: separation.Prediction  # the motion chosen
     probability: float        # that it leaves one hypothesis, the true one
     compared: tuple           # of Prediction at one length, the best first
     refused: tuple            # names of motions that would cross a limit
 
-    def share(self, one: Prediction) -> float:
+    def share(self, one: separation.Prediction) -> float:
         """Return the probability that a motion leaves one hypothesis, the true one."""
-        return float(self.beliefs.probabilities @ resolving(self.beliefs, one.odds, self.wanted))
+        return float(self.beliefs.probabilities @ separation.resolving(
+            self.beliefs, one.odds, self.wanted))
 
-    def pace(self, one: Prediction) -> float:
+    def pace(self, one: separation.Prediction) -> float:
         """Return the expected log Bayes factor of the worst pair in a second [1/s]."""
         gain = (one.odds - self.beliefs.odds) / one.duration
         return float(gain[~np.eye(len(gain), dtype=bool)].min())
@@ -93,8 +87,8 @@ def surviving(report: Mapping) -> list[frozenset]:
     return [one for one in dict.fromkeys(sets) if one][:MOST]
 
 
-def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period: float,
-              odds: float = 99.0, longest: float = 60.0, weight: float = 0.0,
+def plan_next(beliefs: separation.Beliefs, gains: ControllerParams, limits: Limits, *,
+              period: float, odds: float = 99.0, longest: float = 60.0, weight: float = 0.0,
               say: Callable[[str], object] = lambda text: None) -> NextRecording:
     """
     Choose the motion, and its length, that leaves the true hypothesis of two or more soonest.
@@ -110,13 +104,13 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
     """
     wanted, found, refused = float(np.log(odds)), [], []
     first = min(SHORTEST, longest)
-    loop = loop_of(beliefs, clipped(gains, limits), limits, period=period)
+    loop = separation.loop_of(beliefs, clipped(gains, limits), limits, period=period)
 
     def choice(one, lengths):
         """Return (worth, the more the better; probability, length) of the best of lengths."""
         found = []
         for length in lengths:
-            share = beliefs.probabilities @ resolving(
+            share = beliefs.probabilities @ separation.resolving(
                 beliefs, one.after(length, beliefs.odds), wanted)
             pace = 1.0 / (length + _AROUND + _MINUTE * one.candidate.minutes)
             found.append(((share >= _ENOUGH, pace if share >= _ENOUGH else share * pace),
@@ -130,7 +124,7 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
         return motions + (by_hand(motions, weight) if weight and loop.load is None else [])
     for kind in zip(*map(offered, PACES), strict=True):
         say(kind[0].words)
-        one = next(filter(None, (predicted(beliefs, candidate, first, loop)
+        one = next(filter(None, (separation.predicted(beliefs, candidate, first, loop)
                                  for candidate in kind)), None)
         if one is None:
             refused.append(kind[0].name)
@@ -153,7 +147,7 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
         say(f'{one.candidate.words}, {length:.0f} s')
         ahead.remove(one)
         simulated += 1
-        longer = one if length == one.duration else predicted(
+        longer = one if length == one.duration else separation.predicted(
             beliefs, one.candidate, length, loop)
         if longer is not None:
             ahead.append(longer)  # which foresees a still longer one better
@@ -187,7 +181,7 @@ class Separation:
     """What planning and recording in turn ended with."""
 
     verdict: str          # ONE_LEFT, BUDGET or INSEPARABLE
-    beliefs: Beliefs      # all hypotheses, along all recordings
+    beliefs: separation.Beliefs  # all hypotheses, along all recordings
     wanted: float         # log odds
     rounds: tuple         # of Round
     budget: float         # of robot time [s]
@@ -232,7 +226,7 @@ def separate(recordings: Sequence[Recording], robot: RobotParams, sets: Sequence
     recordings, rounds, wanted = list(recordings), [], float(np.log(odds))
     while True:
         say(f'explanations along {len(recordings)} recordings')
-        beliefs = beliefs_of(recordings, robot, sets)
+        beliefs = separation.beliefs_of(recordings, robot, sets)
 
         def ended(verdict, plan=None, beliefs=beliefs):
             return Separation(verdict=verdict, beliefs=beliefs, wanted=wanted, plan=plan,

@@ -7,18 +7,7 @@ from pathlib import Path
 from gms_flex_control import __version__
 from gms_flex_control.data.conditions import NAME, with_found
 from gms_flex_control.file_io import plain, write_text
-from gms_flex_control.identification.outcome import (
-    CONFIDENT,
-    data_sentence,
-    DOUBTFUL,
-    Identification,
-    joint_sentences,
-    NOT_IDENTIFIABLE,
-    percent,
-    short_name,
-    spread,
-    standing,
-)
+from gms_flex_control.identification import outcome
 from gms_flex_control.params.robot import UNCERTAIN
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values, wrapped
@@ -33,7 +22,7 @@ _BY_JOINT = ('motor_inertia', 'stiffness', 'damping')  # of them, one number eac
 _LEAST_TOLD, _MOST_TOLD = 0.5, 4.0
 
 
-def report_json(identification: Identification) -> dict:
+def report_json(identification: outcome.Identification) -> dict:
     """Return an identification as plain data for JSON, without the long arrays; None for NaN."""
     words = identification.in_units
     return plain({
@@ -48,14 +37,14 @@ def report_json(identification: Identification) -> dict:
 def _joint(result):
     return {
         'joint': result.joint, 'side': result.side,
-        'summary': [text for text, _ in joint_sentences(result)],
-        'estimates': [estimate._asdict() | {'standing': standing(estimate)}
+        'summary': [text for text, _ in outcome.joint_sentences(result)],
+        'estimates': [estimate._asdict() | {'standing': outcome.standing(estimate)}
                       for estimate in result.estimates],
         'candidates': [candidate._asdict() for candidate in result.candidates],
         'held_out': result.held_out._asdict(), 'warnings': result.warnings}
 
 
-def condition_files(identification: Identification, folder) -> dict:
+def condition_files(identification: outcome.Identification, folder) -> dict:
     """Return by number of a source where `write_conditions` writes what was found of it."""
     names = [Path(bag).name for bag in identification.sources]
     return {r: Path(folder) / f'{name}{f"_{r + 1}" * (names.count(name) > 1)}.{NAME}'
@@ -63,7 +52,7 @@ def condition_files(identification: Identification, folder) -> dict:
             if identification.constants or r in identification.loads}
 
 
-def write_conditions(identification: Identification, folder) -> None:
+def write_conditions(identification: outcome.Identification, folder) -> None:
     """Write a recording.yaml with the torque constants and loads found, for bags that need it."""
     motors = dict(zip(identification.robot.joints, identification.robot.motors, strict=True))
     for r, path in condition_files(identification, folder).items():
@@ -71,7 +60,7 @@ def write_conditions(identification: Identification, folder) -> None:
                                     identification.loads.get(r), motors))
 
 
-def friction_values(identification: Identification) -> dict:
+def friction_values(identification: outcome.Identification) -> dict:
     """
     Return the flat parameters that were identified.
 
@@ -101,7 +90,7 @@ _KNOWN_BY = {'level': 'coulomb', 'viscous': 'viscous', 'static': 'static',
              'velocity': 'velocity', 'attraction': 'attraction', 'blocks': 'stiffness['}
 
 
-def uncertainty_values(identification: Identification) -> dict:
+def uncertainty_values(identification: outcome.Identification) -> dict:
     """
     Return how well friction and arm are known: flat ``uncertainty`` parameters, from intervals.
 
@@ -112,9 +101,11 @@ def uncertainty_values(identification: Identification) -> dict:
         for kind, name in _KNOWN_BY.items():
             own = [one for one in result.estimates if one.name.startswith('friction.')
                    and one.name.split('.')[-1].startswith(name)]
-            sizes = [spread(one) / CONFIDENT for one in own if not one.flags and one.value]
+            sizes = [outcome.spread(one) / outcome.CONFIDENT for one in own
+                     if not one.flags and one.value]
             sizes = [size for size in sizes if np.isfinite(size) and size > 0.0]
-            if not sizes and any(standing(one) in (NOT_IDENTIFIABLE, DOUBTFUL) for one in own):
+            if not sizes and any(outcome.standing(one) in (
+                    outcome.NOT_IDENTIFIABLE, outcome.DOUBTFUL) for one in own):
                 sizes = [np.inf]
             if sizes:
                 usual = UNCERTAIN[kind].sd
@@ -136,7 +127,7 @@ def _uncertainty_of_arm(identification):
         j = identification.robot.joints.index(result.joint)
         named = {one.name: one for one in result.estimates}
         found = {kind: named.get(f'arm.{result.joint}.{name}') for kind, name in _OF_ARM.items()}
-        sizes = {kind: np.inf if one.flags else spread(one) / CONFIDENT
+        sizes = {kind: np.inf if one.flags else outcome.spread(one) / outcome.CONFIDENT
                  for kind, one in found.items() if one and one.value and not (
                      one.flags and _is_as_described(identification, kind, j))}
         if identification.spread is not None:
@@ -172,7 +163,7 @@ def _drop_empty_blocks(values, prefix):
         values[prefix + name] = values[prefix + name][:count]
 
 
-def write_friction(identification: Identification, path) -> None:
+def write_friction(identification: outcome.Identification, path) -> None:
     """Write friction.yaml: a ROS parameter file to be loaded after the robot's own."""
     save_values(friction_values(identification), path, comment=_comment(identification))
 
@@ -180,13 +171,13 @@ def write_friction(identification: Identification, path) -> None:
 def _comment(identification):
     lines = [f'Friction identified by gms_flex identify {__version__}.',
              'Load it after the robot file: [robot.yaml, friction.yaml].',
-             f'{data_sentence(identification)}.',
+             f'{outcome.data_sentence(identification)}.',
              *identification.warnings]
     for result in identification.joints:
         errors = result.held_out
-        lines.append(f'{result.joint}: held-out torque error {percent(errors.relative)}, '
-                     f'with Coulomb + viscous alone {percent(errors.coulomb_viscous)}')
-        lines += [f'  {short_name(estimate.name, result.joint)}: '
+        lines.append(f'{result.joint}: held-out torque error {outcome.percent(errors.relative)}, '
+                     f'with Coulomb + viscous alone {outcome.percent(errors.coulomb_viscous)}')
+        lines += [f'  {outcome.short_name(estimate.name, result.joint)}: '
                   f"{', '.join(estimate.flags).upper()}; {estimate.note}".rstrip('; ')
                   for estimate in result.estimates if estimate.flags]
     return wrapped(lines)

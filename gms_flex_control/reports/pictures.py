@@ -2,33 +2,24 @@
 """Figures for print: identification (the paper's Figs. 3 and 4), discrepancy, planned motion."""
 
 from gms_flex_control.discrepancy.describe import angle_scale, torque_scale
+from gms_flex_control.reports import figure_style as style
 from gms_flex_control.reports.answers import WITH, WITHOUT
-from gms_flex_control.reports.figure_style import (
-    COLOURS,
-    finished,
-    labelled,
-    panels_of,
-    side_by_side,
-    stacked_panels,
-    STYLES,
-    thinned,
-    WIDTH,
-)
 from matplotlib.figure import Figure
 import numpy as np
 
-DIRECTIONS = ((1.0, 'forward', COLOURS[0]), (-1.0, 'backward', COLOURS[1]))
+DIRECTIONS = ((1.0, 'forward', style.COLOURS[0]), (-1.0, 'backward', style.COLOURS[1]))
 MOST_LOOPS = 6        # drawn in one picture
 _MOST_POINTS = 4000   # of a cloud
 _CLEAR = 0.99         # of what is drawn there: the farthest bins are cut
 _LOW_PASS, _SLOW = 8.0, 3.0  # of predicted torques, beside measured ones too [Hz]
 # one colour for one model in every picture and chart
-GIVEN, BEFORE, AFTER, FLOOR, OWN = '0.65', COLOURS[1], COLOURS[0], '0.35', COLOURS[2]
+AFTER, BEFORE, OWN = style.COLOURS[:3]
+GIVEN, FLOOR = '0.65', '0.35'
 
 
 def map_figure(result) -> Figure:
     """Return friction over velocity of a JointResult, fits dashed beyond the data (Fig. 3)."""
-    figure, (linear, log) = side_by_side(2)
+    figure, (linear, log) = style.side_by_side(2)
     measured, fit = result.friction_map, result.steady_velocity
     for sign, name, colour in DIRECTIONS:
         for steady, face in ((False, 'none'), (True, colour)):
@@ -47,7 +38,7 @@ def map_figure(result) -> Figure:
             linear.plot(sign * speed, sign * shown, line, color=colour)
             log.plot(speed, shown, line, color=colour, label=label)
     log.legend(loc='best')
-    labelled(figure, [linear, log], [
+    style.labelled(figure, [linear, log], [
         ('velocity [rad/s]', 'friction torque [N m]'),
         ('speed [rad/s]', 'torque against the motion [N m]')],
         f'{result.joint}: friction over velocity (open: velocity not steady; dashed: no data)')
@@ -57,9 +48,9 @@ def map_figure(result) -> Figure:
 
 def loops_figure(result) -> Figure:
     """Return hysteresis loops of a JointResult (Fig. 4) and the presliding curve, 95 % band."""
-    figure, (loops, curve) = side_by_side(2)
+    figure, (loops, curve) = style.side_by_side(2)
     for i, loop in enumerate(result.loops[:MOST_LOOPS]):
-        loops.plot(1e3 * loop.displacement, loop.torque, color=COLOURS[0], linewidth=0.9,
+        loops.plot(1e3 * loop.displacement, loop.torque, color=style.COLOURS[0], linewidth=0.9,
                    label='measured' if i == 0 else None)
         loops.plot(1e3 * loop.model_displacement, loop.torque, 'k--', linewidth=0.8,
                    label='fitted' if i == 0 else None)
@@ -70,13 +61,13 @@ def loops_figure(result) -> Figure:
         _instead(loops, 'no presliding motion in the data')
     x, torque, low, high = result.curve
     if len(x):
-        curve.fill_between(1e3 * x, low, high, color=COLOURS[0], alpha=0.25, linewidth=0,
+        curve.fill_between(1e3 * x, low, high, color=style.COLOURS[0], alpha=0.25, linewidth=0,
                            label='95 % band')
-        curve.plot(1e3 * x, torque, color=COLOURS[0], label='fitted')
+        curve.plot(1e3 * x, torque, color=style.COLOURS[0], label='fitted')
         curve.legend(**above, ncols=3)
     else:
         _instead(curve, 'no stiffness is identifiable')
-    labelled(figure, [loops, curve], [
+    style.labelled(figure, [loops, curve], [
         ('displacement [mrad]', 'friction torque [N m]'),
         ('displacement from rest [mrad]', 'friction torque [N m]')],
         f'{result.joint}: presliding')
@@ -91,7 +82,7 @@ def _instead(panel, text):
 
 def gap_figure(gap) -> Figure:
     """Return the Gap of each joint: residual torque in motion and free-run error."""
-    figure, panels = side_by_side(2, height=1.6 + 0.75 * len(gap.joints))
+    figure, panels = style.side_by_side(2, height=1.6 + 0.75 * len(gap.joints))
     torque, angle = torque_scale(gap.before), angle_scale(gap.free_before)
     _bars(panels[0], gap.joints, torque, (
         ('as given', gap.before, GIVEN), (WITHOUT, gap.retuned, BEFORE),
@@ -99,7 +90,7 @@ def gap_figure(gap) -> Figure:
     _bars(panels[1], gap.joints, angle, (
         (WITHOUT, gap.free_before, BEFORE), (WITH, gap.free_after, AFTER),
         ('noise floor', gap.free_floor, FLOOR)))
-    finished(figure, panels, 'Between model and measurement, on held-out data')
+    style.finished(figure, panels, 'Between model and measurement, on held-out data')
     panels[0].set_xlabel(f'residual torque in motion, rms [{torque.unit}]')
     panels[1].set_xlabel(f'free-run error over 0.5 s, rms [{angle.unit}]')
     for panel in panels:
@@ -124,9 +115,9 @@ def _bars(panel, joints, scale, groups):
 
 def evidence_figure(evidence) -> Figure:
     """Return the residual over an effect's own variable: samples, and means with 95 % bands."""
-    figure, ((panel,),) = panels_of(1, 1, (WIDTH, 3.6))
-    keep, scale = thinned(len(evidence.x), _MOST_POINTS), torque_scale(evidence.y)
-    panel.plot(evidence.x[keep], scale.factor * evidence.y[keep], '.', color=COLOURS[4],
+    figure, ((panel,),) = style.panels_of(1, 1, (style.WIDTH, 3.6))
+    keep, scale = style.thinned(len(evidence.x), _MOST_POINTS), torque_scale(evidence.y)
+    panel.plot(evidence.x[keep], scale.factor * evidence.y[keep], '.', color=style.COLOURS[4],
                markersize=1.8, alpha=0.35, zorder=1, rasterized=True)
     panel.axhline(0.0, color='0.6', linewidth=0.6)
     for curve, colour, name in ((evidence.before, BEFORE, 'without the effect'),
@@ -136,8 +127,8 @@ def evidence_figure(evidence) -> Figure:
                label='the effect itself')
     _limit(panel, evidence, scale.factor)
     panel.legend(loc='best', ncols=3)
-    labelled(figure, [panel], [(evidence.x_label, f'torque [{scale.unit}]')],
-             f'{evidence.effect} of {evidence.joint}')
+    style.labelled(figure, [panel], [(evidence.x_label, f'torque [{scale.unit}]')],
+                   f'{evidence.effect} of {evidence.joint}')
     panel.set_title(f'torque {evidence.title}', fontsize=9, parse_math=False)
     return figure
 
@@ -160,7 +151,7 @@ def _limit(panel, evidence, size):
 
 def maps_figure(maps, joint) -> Figure:
     """Return Maps of a joint's residual, before in the upper row and after in the lower one."""
-    figure, panels = panels_of(2, len(maps), (WIDTH, 4.8), sharex='col', sharey='col')
+    figure, panels = style.panels_of(2, len(maps), (style.WIDTH, 4.8), sharex='col', sharey='col')
     scale = torque_scale([np.nan_to_num(one.before).ravel().max(initial=0.0) for one in maps])
     largest = scale.factor * max(_usual(values) for one in maps
                                  for values in (one.before, one.after)) or 1.0
@@ -188,7 +179,7 @@ def _usual(values):
 
 def over_figure(found) -> Figure:
     """Return the residual of one joint and equation over each variable (Over), 95 % bands."""
-    figure, (panels,) = panels_of(1, len(found), (9.0, 2.9), layout=None, sharey=True)
+    figure, (panels,) = style.panels_of(1, len(found), (9.0, 2.9), layout=None, sharey=True)
     scale = torque_scale(np.concatenate([one.before.mean for one in found]))
     farthest = np.concatenate([np.abs(curve.mean) + curve.half
                                for one in found for curve in (one.before, one.after)])
@@ -215,22 +206,23 @@ def next_figure(plan) -> Figure:
     """Return a NextRecording: reference, and torques of each explanation less the first's."""
     runs, hypotheses = plan.best.runs, plan.beliefs.hypotheses
     joints = plan.beliefs.robot.joints
-    figure, panels = stacked_panels(len(joints) + 1)
+    figure, panels = style.stacked_panels(len(joints) + 1)
     rate = 1.0 / np.median(np.diff(runs[0].time))
     for j, joint in enumerate(joints):
-        panels[0].plot(runs[0].time, runs[0].reference[:, 0, j], STYLES[j % len(STYLES)],
-                       color=COLOURS[j % len(COLOURS)], linewidth=0.9, label=joint)
+        panels[0].plot(runs[0].time, runs[0].reference[:, 0, j],
+                       style.STYLES[j % len(style.STYLES)], linewidth=0.9, label=joint,
+                       color=style.COLOURS[j % len(style.COLOURS)])
         for k, (run, one) in enumerate(zip(runs[1:], hypotheses[1:], strict=True)):
             panels[j + 1].plot(run.time, 1e3 * _below(
                 _LOW_PASS, run.command[:, j] - runs[0].command[:, j], rate),
-                               color=COLOURS[(k + 1) % len(COLOURS)], linewidth=0.8,
+                               color=style.COLOURS[(k + 1) % len(style.COLOURS)], linewidth=0.8,
                                label=one.words)
         panels[j + 1].set_ylabel(f'{joint} [mN m]')
     panels[0].set_ylabel('reference [rad]')
     for panel in panels[:2]:
         panel.legend()
-    return finished(figure, panels, 'Reference, and predicted torque less that with '
-                    f'{hypotheses[0].words}, below {_LOW_PASS:g} Hz')
+    return style.finished(figure, panels, 'Reference, and predicted torque less that with '
+                          f'{hypotheses[0].words}, below {_LOW_PASS:g} Hz')
 
 
 def separated_figure(found) -> Figure:
@@ -248,18 +240,19 @@ def separated_figure(found) -> Figure:
     left = [_below(_SLOW, one, 1.0 / (time[1] - time[0])) for one in left]
     for one in left:
         one[np.tile(still, 2)] = np.nan
-    figure, panels = stacked_panels(len(joints))
+    figure, panels = style.stacked_panels(len(joints))
     for j, (joint, panel) in enumerate(zip(joints, panels, strict=True)):
         c = max((j, j + len(joints)), key=lambda c: sum(
             np.nansum((one[:, c] - left[0][:, c]) ** 2) for one in left))
         for k, (torque, one) in enumerate(zip(left, shown, strict=True)):
-            panel.plot(time, 1e3 * (torque[:, c] - left[0][:, c]), STYLES[k % len(STYLES)],
-                       color=COLOURS[k % len(COLOURS)], linewidth=1.0, label=one.words)
+            panel.plot(time, 1e3 * (torque[:, c] - left[0][:, c]),
+                       style.STYLES[k % len(style.STYLES)], label=one.words, linewidth=1.0,
+                       color=style.COLOURS[k % len(style.COLOURS)])
         panel.plot(time, -1e3 * left[0][:, c], color='0.2', linewidth=0.6, label='measured')
         panel.set_ylabel(f'{joint}, {"link" if c < len(joints) else "motor"} [mN m]')
     panels[0].legend()
-    return finished(figure, panels, f'Predicted torque less that with {shown[0].words}, below '
-                    f'{_SLOW:g} Hz')
+    return style.finished(figure, panels, 'Predicted torque less that with '
+                          f'{shown[0].words}, below {_SLOW:g} Hz')
 
 
 def _below(frequency, signal, rate):
