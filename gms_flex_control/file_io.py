@@ -56,12 +56,7 @@ def _remove(temporaries, folders):
 
 @contextmanager
 def atomic_path(path) -> Generator[Path]:
-    """
-    Yield a temporary path beside ``path`` that takes its name when the block succeeds.
-
-    The folder is made if need be. On an exception the file is removed and ``path`` stays as it
-    was.
-    """
+    """Yield a temporary path beside ``path`` that takes its name when the block succeeds."""
     path = Path(path)
     made = not path.parent.exists()
     make_folder(path.parent, path)

@@ -87,12 +87,7 @@ def constants_of(params) -> np.record:
 
 
 def init(params, torque=None, direction=None) -> np.record:
-    """
-    Return the friction state of joints with FrictionParams at rest, all blocks sticking.
-
-    ``torque`` (n, N) of the blocks is 0 by default [N m], ``direction`` (n,) of the motion before
-    is +1.
-    """
+    """Return the friction state of joints at rest, all blocks sticking, by default unloaded."""
     return records.build(state_layout(*params.stiffness.shape), sticking=1,
                          torque=0.0 if torque is None else torque,
                          direction=1.0 if direction is None else direction)

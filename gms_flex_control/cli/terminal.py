@@ -51,12 +51,7 @@ def write_or_print(text: str, out, what: str) -> None:
 
 def end(args, values, text: str = '', answer: Answer | None = None, files: dict | None = None,
         words=str, code: int = 0) -> int:
-    """
-    Print what a verb ends with, and return its exit code.
-
-    That is ``values`` as JSON with --json; else a ``text``, what each of ``files`` holds and an
-    Answer, so far as they are given, ``words`` applied to them.
-    """
+    """Print what a verb ends with, as JSON or as text, and return its exit code."""
     if args.json:
         print(as_json(values))
         return code

@@ -181,12 +181,7 @@ def advance_bristle(bristle, displacement, stiffness, level) -> float:
 
 @compiled_part
 def _disturbance_observer(state, measured, dt, constants, work):
-    """
-    Friction is what the links lack of the model's acceleration; no friction model is known.
-
-    An observer of the link velocities estimates the acceleration that is missing in the link
-    equation (1); M(q) times it is the friction.
-    """
+    """Friction is what the links lack of the model's acceleration; no friction model is known."""
     links, found = constants.chain, state.observer
     for j in range(constants.kd_link.shape[0]):
         work.chain.tau[j] = work.spring[j]

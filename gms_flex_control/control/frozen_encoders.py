@@ -174,12 +174,7 @@ class FrozenEncoders:
 
 
 def torque_thresholds(robot, torque_limit) -> np.ndarray:
-    """
-    Return by how much a torque may change while a motor stands still (n_joints,) [N m].
-
-    What friction could hold wherever in the joint it is, and what the spring gives way to, with
-    room for both; infinite for joints without a spring.
-    """
+    """Return by how much a torque may change while a motor stands still (n_joints,) [N m]."""
     arm, friction = robot.arm, robot.friction
     static = np.maximum(friction.forward.static, friction.backward.static)
     for spec in robot.effects:

@@ -113,12 +113,7 @@ def _joint_state_template(names, counts):
 
 
 def pack_joint_states(names, stamps, position, velocity=None, effort=None) -> list[bytes]:
-    """
-    Pack many JointState messages that share their names (m,), little endian, padding zero.
-
-    Header ``stamps`` (T,) [ns]; position, velocity and effort (T, m) [rad, rad/s, N m], None
-    leaves the field empty.
-    """
+    """Pack many JointState messages that share their names (m,), little endian, padding zero."""
     stamps = np.asarray(stamps, dtype=np.int64)
     columns = {name: np.asarray(values, dtype=float) for name, values in zip(
         VALUES, (position, velocity, effort), strict=True) if values is not None}

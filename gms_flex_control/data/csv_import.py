@@ -15,12 +15,7 @@ import numpy as np
 
 
 class CsvTable:
-    """
-    A UTF-8 table of numbers read into memory, laid out as a FileFormat says.
-
-    ``names`` are its columns ('1', '2', ... without a header), ``lines`` (T,) the line of each.
-    ImportDataError if it cannot be read, is empty, or a row has another length than the header.
-    """
+    """A UTF-8 table of numbers read into memory, laid out as a FileFormat says."""
 
     def __init__(self, path, form):
         self.path = Path(path)

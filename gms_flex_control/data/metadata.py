@@ -67,12 +67,7 @@ class TopicEntry(NamedTuple):
 
 
 def information(topics, file_name, start, end, custom=None) -> dict:
-    """
-    Return the metadata of a bag of one mcap file, below ``rosbag2_bagfile_information``.
-
-    Of its TopicEntries, first and last receive time [ns] (``start`` above ``end`` where there is
-    no message) and remarks for the reader (dict of str).
-    """
+    """Return the metadata of a bag of one mcap file, below ``rosbag2_bagfile_information``."""
     count = sum(topic.count for topic in topics)
     begin, duration = (int(start), int(end - start)) if count else (NEVER, 0)
     time = {'duration': {'nanoseconds': duration},

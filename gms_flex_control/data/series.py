@@ -44,12 +44,7 @@ class _Answers(NamedTuple):
 
 
 def _answering(stamps, received, period, answers, n):
-    """
-    Return the command that answers each state, shape (T, n), NaN where none came.
-
-    By the stamp a command carries (the first to arrive); one without goes to the last state
-    received before it, if that is at most one period [ns] ago.
-    """
+    """Return the command that answers each state, shape (T, n), NaN where none came."""
     command = np.full((len(stamps), n), np.nan)
     row = np.full(len(answers.stamps), -1)
     row[answers.stamped] = _row_of(answers.stamps[answers.stamped], stamps)

@@ -40,12 +40,7 @@ class Table:
         self._count += len(messages)
 
     def take(self, name) -> np.ndarray:
-        """
-        Return a column (T, ...) and forget it.
-
-        It is ``rows`` (number of the message), ``received`` or ``stamps`` [ns], or as the table
-        has them. BagError, its sentence without a subject, if a message could not be read.
-        """
+        """Return a column (T, ...) and forget it; BagError if a message could not be read."""
         if self._error is not None:
             raise self._error
         return self._columns.pop(name)[:self._rows]

@@ -132,12 +132,7 @@ def _swing(name, words, amplitude, limits, joints, slower):
 
 
 def _tones(name, words, reach, limits, joints, slower):
-    """
-    Return a Fourier series, its velocities alike, as fast as limits allow.
-
-    Its phases make each period a chirp, whose velocity hardly peaks (Schroeder 1970); that of each
-    joint begins a radian of the period before that of the last.
-    """
+    """Return a Fourier series, a chirp per period (Schroeder 1970), as fast as limits allow."""
     order = np.arange(1, _TONES + 1)[:, None]
     turn = 2.0 * np.pi * order[:, :, None] * np.linspace(0.0, 1.0, 400)
     phase = order * (np.pi / _TONES * (order - 1) + np.arange(len(joints)))

@@ -207,12 +207,7 @@ def _rms(runs, others):
 
 
 def with_closed_loop(result, recordings, gains) -> Discrepancy:
-    """
-    Return a Discrepancy of which gap and words have the closed loop, too; bad data as they are.
-
-    ``recordings`` are those held out, or else those that were fitted; their controller, of
-    ``gains``, believed the robot the workflow was given. BagError if one has no reference.
-    """
+    """Return a Discrepancy of which gap and words have the closed loop, too."""
     if result.gap is None:
         return result
     again = closed_loop_of(result.behind, recordings, gains)

@@ -121,12 +121,7 @@ def of_noise(noise) -> str:
 
 
 def paragraph(result, unseen=(), known_off=None) -> tuple:
-    """
-    Return one paragraph on a Discrepancy, and what of it an answer in short leaves out.
-
-    ``unseen`` are joints whose links have no encoder, ``known_off`` the effect and joint of an
-    effect the model has that another value would serve best.
-    """
+    """Return one paragraph on a Discrepancy, and what of it an answer in short leaves out."""
     if result.verdict == BAD_DATA:
         return result.words, ''
     parts = [*_verdict(result), *_remainder(result)]

@@ -198,13 +198,7 @@ class Dictionary:
         return np.where(np.isfinite(gains), gains, 0.0), noise
 
     def ranked(self, model, columns, plausible=np.inf) -> list:
-        """
-        Return the hypotheses with the largest gains, list of Ranked, each effect of a joint once.
-
-        Beside ``model``, a Fitted, and ``columns`` (C, R), derivatives by its nuisance parameters
-        and the numbers of its effects; nuisances go ``plausible`` standard deviations of their
-        priors.
-        """
+        """Return the hypotheses with the largest gains, no effect of a joint twice."""
         likelihood, best, tried = self._likelihood, {}, set()
         normal = NormalEquations(likelihood, model, columns, plausible)
         for even in (False, True):

@@ -236,12 +236,7 @@ def _rivals(found, one, spec, beside):
 
 
 def _values(likelihood, found, index):
-    """
-    Return the Values of one effect, intervals by the curvature of the likelihood.
-
-    Or by how far null simulations scatter, if that is more: the curvature assumes that rows are
-    independent. They end at the bounds of the parameters.
-    """
+    """Return the Values of one effect, intervals by curvature or the scatter of simulations."""
     model, columns = found.best.model, found.best.columns
     numbers = fitting.numbers_of(likelihood, model.robot)
     weight = likelihood.weights(model.sums.groups)

@@ -115,12 +115,7 @@ def at_values(robot, numbers, values) -> RobotParams:
 
 
 def is_at_limit(spec, robot) -> bool:
-    """
-    Return whether an effect has a parameter where the search for it ends, which is no value.
-
-    What the catalogue allows is such an end, too, unless physics ends there: at zero, at a share,
-    or where the effect says so.
-    """
+    """Return whether an effect has a parameter where the search for it ends, which is no value."""
     kind = find(spec.name)
 
     def is_end(limit, allowed, unit):

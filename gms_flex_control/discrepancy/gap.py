@@ -44,12 +44,7 @@ class Errors(NamedTuple):
 
 
 class HeldOut:
-    """
-    Data that took no part in a fit: other recordings, or blocks of time left out in turn.
-
-    Of the Likelihood that was fitted and, if given, an ``other`` one; all models of a Gap have the
-    effects ``further`` as well, as they are.
-    """
+    """Data that took no part in a fit: other recordings, or blocks of time left out in turn."""
 
     def __init__(self, likelihood, other=None, further=()):
         self._likelihood, self.other, self._errors = likelihood, other, {}

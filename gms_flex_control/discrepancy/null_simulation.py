@@ -88,12 +88,7 @@ def simulate_along(states, command, supply, time, period, substeps, gains, const
 
 
 def null_simulation(motion, constants, rng) -> Motion:
-    """
-    Return the Motion that a model makes of a recording, read through encoders like those of it.
-
-    ``constants`` are of simulation.plant.constants_of; ``rng`` draws noise, and where within a
-    count the robot stands. Raises as `null_readings`.
-    """
+    """Return the Motion that a model makes of a recording, read through like encoders."""
     return null_readings(motion, constants)(rng)
 
 
@@ -202,24 +197,14 @@ class EncoderNoise:
         self._anchors = {}    # effects that were added, all (effect, joint): effects, x and noise
 
     def _shown(self, pair, step):
-        """
-        Return what a ``step`` of a parameter makes of two null simulations, (R,) and (G,).
-
-        How noise shows in the derivative, and which groups inform of the derivative, bool: not
-        those in which it is mostly noise.
-        """
+        """Return how noise shows in the derivative by a ``step``, (R,), and in which groups."""
         noise = pair[0] - pair[1] - self.own
         hidden = (self._groups.sums(noise ** 2)
                   > 2.0 * _MOSTLY * self._groups.sums((pair[0] - self._begun[0]) ** 2))
         return noise / step, ~hidden
 
     def learn(self, likelihood, spec, linear) -> None:
-        """
-        Learn how noise shows in the derivatives by an effect (EffectSpec) at a small size.
-
-        ``linear`` has parameters in which it is linear, and values at which only that one is not
-        zero.
-        """
+        """Learn how noise shows in the derivatives by an effect (EffectSpec) at a small size."""
         shown = np.zeros((len(spec.values), len(self.own)))
         informative = np.ones((len(spec.values), len(self.own_sums)), dtype=bool)
         there = [(one.name, one.joint) for one in self._robot.effects[self._known:]]

@@ -194,12 +194,7 @@ class FreeFunctions:
                               if name != 'torsion' or equation == 'link']
 
     def ranked(self, model, columns, joint=None) -> list:
-        """
-        Return the free functions beside a Fitted, list of Free, that of most evidence first.
-
-        ``columns`` (C, R) are derivatives of its rows; ``joint`` leaves only functions of that
-        one.
-        """
+        """Return the free functions beside a Fitted, list of Free, that of most evidence first."""
         normal = NormalEquations(self._likelihood, model, columns)
         lost = self._likelihood.noise_cleared(model, self._likelihood.weights(model.sums.groups))
         here = [one for one in self._all if joint in (None, 'arm', one[0])]

@@ -206,12 +206,7 @@ def follows(x, y) -> float:
 
 
 def _shown_over(along, spec, own, j):
-    """
-    Return variable (S,), its label, factor of the residual (S,) and the factor's name.
-
-    The effect names its variable; of which joint, and if it is to be another one after all, is
-    named by what its contribution follows.
-    """
+    """Return variable (S,), its label, factor of the residual (S,) and the factor's name."""
     wanted, rate = find(spec.name).evidence, along.variables(j)['link rate']
     if wanted == 'time':
         return (along.variables(j)[wanted], 'time [s]', np.where(own < 0.0, -1.0, 1.0),

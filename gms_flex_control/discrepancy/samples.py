@@ -282,12 +282,7 @@ _OF_TORQUE = ('swapped_torques', 'swapped_sides', 'torque_sign', 'torque_scale',
 
 
 def faults_of(recordings, robot) -> list:
-    """
-    Return the findings of `identification.recording_checks` in what the equations will use.
-
-    Those that forbid a fit first. Recordings may have joints in any order; torque commands are
-    checked beside efforts, or instead of them.
-    """
+    """Return the findings of `recording_checks` in what equations will use, the worst first."""
     found = [finding for recording in recordings for finding in _faults(recording, robot)]
     return sorted(found, key=lambda finding: finding.severity != 'refuse')
 

@@ -19,12 +19,7 @@ _FAST_OCTAVES = 2      # highest ones: above 5 Hz
 
 
 def drawn_noise(likelihood, m, rng, size=None) -> np.ndarray:
-    """
-    Return the residual torque (S, 2 n) of white torque noise in a recording.
-
-    ``size`` (2 n,) per sample, default that of the likelihood. Where links have no encoder, noise
-    moves the angles that are computed from torques as well.
-    """
+    """Return the residual torque (S, 2 n) of white torque noise of a ``size`` in a recording."""
     motion, n = likelihood.motions[m], likelihood.robot.n_joints
     size = np.broadcast_to(likelihood.noise[m] if size is None else size, 2 * n)
     drawn = size * rng.standard_normal((len(motion.samples.time), 2 * n))

@@ -138,12 +138,7 @@ def own_inertia(links) -> np.ndarray:
 
 
 def configurations(arm, count) -> np.ndarray:
-    """
-    Return poses (count, n_joints) spread evenly over the joint ranges of a chain in space.
-
-    The first has all joints at 0, the others are an additive recurrence. A joint without a range
-    turns once, or slides `_SLIDE` either way.
-    """
+    """Return poses (count, n_joints) spread evenly over the joint ranges, the first at 0."""
     n, frames = arm.n_joints, arm.frames
     wide = np.where(frames.prismatic, _SLIDE, np.pi)
     lower, upper = np.maximum(frames.lower, -wide), np.minimum(frames.upper, wide)

@@ -138,12 +138,7 @@ class Effect(ABC):
 
     @classmethod
     def values(cls, given, where) -> tuple:
-        """
-        Return the parameter values in declared order, of ``given``, one entry per parameter.
-
-        ParameterError, naming ``where`` the effect stands in its file, if one is missing, not
-        finite or out of bounds.
-        """
+        """Return the parameter values in declared order, or raise ParameterError."""
         values = []
         for parameter in cls.parameters:
             key = f'{where}.{parameter.name}'

@@ -49,12 +49,7 @@ def in_words(name: str) -> str:
 
 @cache
 def find(name: str) -> type[Effect]:
-    """
-    Return the class of an effect, a subclass of Term or Change; ``name`` such as 'backlash'.
-
-    ParameterError if there is no such effect; the sentence names the nearest. Or if a package
-    offers one that cannot be loaded, is no effect or has a name that is taken.
-    """
+    """Return the class of an effect, such as 'backlash', or raise ParameterError."""
     if name in learned.LEARNED:
         return learned.LEARNED[name]
     if name not in names():

@@ -95,12 +95,7 @@ class Processes:
                    f'print {texts}', lambda other, code: code is not None)
 
     def wait(self, name: str, bound: float, meanwhile=lambda: None) -> None:
-        """
-        Wait until ``name`` ends by itself with exit code 0 while the others run.
-
-        ``meanwhile`` is called now and then, and once in the end. ProcessError if it does not end
-        within ``bound`` seconds, or any of them fails.
-        """
+        """Wait until ``name`` ends with exit code 0 while others run, or raise ProcessError."""
         def done():
             ended = self._running[name].poll() is not None
             meanwhile()

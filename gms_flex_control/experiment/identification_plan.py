@@ -76,12 +76,7 @@ class IdentificationPlan:
 
 
 def plan_identification(values: dict, robot, gains) -> IdentificationPlan:
-    """
-    Plan the experiment for a robot as believed and the gains of the controller that will run.
-
-    ``values`` has ``identification.*`` of schema.keys.identification_keys. ConfigError if a
-    value is out of range, or a step cannot keep a limit.
-    """
+    """Plan the experiment for a robot as believed and the gains of the controller to be run."""
     flat = complete(identification_keys(robot.joints), values)
     limits = StepLimits.read(flat, robot, gains)
     unknown = [joint for joint in flat['identification.joints'] if joint not in robot.joints]

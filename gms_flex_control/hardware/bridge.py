@@ -185,12 +185,7 @@ class Bridge:
     # commands ------------------------------------------------------------------------------
 
     def take_command(self, command, stamp, source, now, sent=None) -> bool:
-        """
-        Take one command; return whether ``torque`` is to be sent to the robot.
-
-        ``command`` (n_joints,) is finite [N m], ``stamp`` that of the state it answers or None,
-        ``source`` who commands, ``sent`` when its torque left if that was before ``now``.
-        """
+        """Take a command (n_joints,) [N m]; return whether ``torque`` is to be sent."""
         controller, limits = self.controller, self.params.limits
         self.counters['commands in'] += 1
         if self.watch(now):  # the process stood still: a command that waited ends no silence

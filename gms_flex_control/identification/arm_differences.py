@@ -103,12 +103,7 @@ def alike(friction: np.ndarray) -> np.ndarray:
 
 
 def relative_change(friction, rate, label, curve, changes) -> np.ndarray:
-    """
-    Return by how much friction differs at other temperatures, over that at the first (L - 1,).
-
-    ``friction`` (S, 8) are columns at ``rate`` (S,) of temperature ``label`` (S,), ``curve`` (8,)
-    and ``changes`` (L - 1, 4) coefficients.
-    """
+    """Return by how much friction differs at other temperatures, over the first (L - 1,)."""
     top = min(np.quantile(np.abs(rate[label == k]), 0.9) for k in range(len(changes) + 1))
     seen = (np.abs(rate) < top) & (np.abs(rate) > 0.1 * top)
     usual = friction[seen] @ (0.5 * np.tile(curve[:4] + curve[4:], 2))

@@ -58,12 +58,7 @@ def rigid_joints(names: Sequence[str]) -> RobotParams:
 
 def with_load_friction(robot: RobotParams, per_load: np.ndarray,
                        step: np.ndarray) -> RobotParams:
-    """
-    Return a robot whose friction grows by ``per_load`` (n,) of the torque carried.
-
-    It changes its direction as the stiffest block does, but over two of an encoder's ``step`` (n,)
-    at least: a stiffer one would chatter.
-    """
+    """Return a robot whose friction grows by ``per_load`` (n,) of the torque carried."""
     friction = robot.friction
     level = 0.5 * (friction.forward.static + friction.backward.static)[:, None] * friction.weight
     slips = np.divide(level, friction.stiffness, out=np.full_like(level, np.inf),

@@ -167,12 +167,7 @@ def friction_regressors(rate: np.ndarray, usual: float | None = None) -> np.ndar
 
 def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None,
              turns: bool = True) -> AxisFit:
-    """
-    Fit inertia and, where it ``turns``, gravity of one axis.
-
-    ``wave`` (S, 2) are sine and cosine of a ripple that is fitted as well, filtered as the rows;
-    ``joint`` and ``source`` are for messages. Raises IdentificationError if the axis hardly moves.
-    """
+    """Fit inertia and, where it ``turns``, gravity of an axis, beside the ``wave`` of a ripple."""
     usual = float(np.sqrt(np.mean(rows.rate ** 2)))
     moving = np.abs(rows.rate) > SLOWEST * usual
     if moving.sum() < _FEWEST:

@@ -156,12 +156,7 @@ class Base(NamedTuple):
 
 
 def base_of(arm: ArmParams, coupling=None, numbers: Sequence[int] = range(10)) -> Base:
-    """
-    Return the base parameters that motion determines.
-
-    By the regressor along random motion in the ranges of the joints. ``numbers`` are those of
-    each link's ten that may be other than described.
-    """
+    """Return the base parameters that motion determines, of the ``numbers`` that may change."""
     rng, shape = np.random.default_rng(0), (_POSES, arm.n_joints)
     regressor = link_regressors(chain.configurations(arm, _POSES), rng.standard_normal(shape),
                                 3.0 * rng.standard_normal(shape), arm, coupling)

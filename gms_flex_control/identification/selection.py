@@ -107,12 +107,7 @@ def choose(bundle: Bundle, joint: int, thetas: Sequence, fits: Sequence,
 
 
 def _held_out_costs(bundle, joint, thetas, fits):
-    """
-    Return the cost of each fit in each block of time held out (K, B), and samples in all.
-
-    Where one turn holds few blocks out, all turns do: then each fit goes on from where it is
-    without the data that judge it.
-    """
+    """Return the cost of each fit in each block of time held out (K, B), and samples in all."""
     costs, count = [], 0.0
     for turn in range(FOLDS):
         objective = Objective(bundle, joint, thetas, held_out(bundle.period, turn))

@@ -147,12 +147,7 @@ class References:
 
 
 class Handover:
-    """
-    The way from one motion to a reference that is elsewhere, and from one torque to another.
-
-    It takes ``duration`` [s]; ``left`` (5, n_joints) was added to the reference last, None where
-    the handover is over.
-    """
+    """The way, in ``duration`` [s], from one reference to another and one torque to another."""
 
     def __init__(self, duration):
         self._duration = duration

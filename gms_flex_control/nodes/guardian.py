@@ -40,12 +40,7 @@ def efforts(node, array, joint, names) -> list:
 
 
 class Guardian:
-    """
-    The bridge's side: start the process, and signal to it that the bridge lives.
-
-    ``name`` is that of its node; ``array`` and ``joint`` the topics of the efforts as
-    Float64MultiArray and as JointState, '' for none; ``names`` those of the actuators.
-    """
+    """The bridge's side: start the process, and signal to it that the bridge lives."""
 
     def __init__(self, name, array, joint, names, priority):
         given = json.dumps([name, array, joint, list(names), priority])

@@ -79,12 +79,7 @@ def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority
 
 
 def description(declared, actions) -> LaunchDescription:
-    """
-    Return a LaunchDescription: what `arguments` declared, then ``actions`` in their namespace.
-
-    Recorder, robot_state_publisher and RViz come first, each where it is asked for: nothing moves
-    yet when one of them cannot be started.
-    """
+    """Return a LaunchDescription: what was declared, then ``actions`` in their namespace."""
     return LaunchDescription([
         *declared,
         GroupAction([PushRosNamespace(LaunchConfiguration('namespace')),

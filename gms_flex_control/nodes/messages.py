@@ -256,12 +256,7 @@ def read_command(message, n) -> array:
 
 
 def read_reference(message, n) -> tuple:
-    """
-    Return a reference as ('motion', array (5, n)) or ('effort', array (1, n)), in SI units.
-
-    Its dimensions are [derivative 5, joint n] or [effort 1, joint n], or none that has a size.
-    Raises RefusedError if layout or length does not fit, or a number is not finite or too large.
-    """
+    """Return ('motion', (5, n)) or ('effort', (1, n)) in SI units, or raise RefusedError."""
     dims = message.layout.dim
     quantity = EFFORT if dims and dims[0].label == EFFORT else 'motion'
     rows = 1 if quantity == EFFORT else 5

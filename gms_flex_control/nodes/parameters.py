@@ -60,12 +60,7 @@ def _descriptor(key):
 
 
 class ConfiguredNode(Node):
-    """
-    A node that declares all parameters it is given, for `NodeParameters` to check.
-
-    ``direct`` is what its process hears and serves itself (Direct), by default nothing. Raises
-    ConfigError if another process runs a node of its name.
-    """
+    """A node that declares all parameters it is given, for `NodeParameters` to check."""
 
     def __init__(self, name, direct=None, **kwargs):
         self.direct, begin = direct or Direct(), time.monotonic()

@@ -193,12 +193,7 @@ def _offered_qos(publishers):
 
 
 def record(out, topics=None, *, duration=None, say=print) -> dict:
-    """
-    Record into the bag ``out`` until SIGINT, SIGTERM or for ``duration`` [s].
-
-    The bag is closed in every case. ``topics`` and ``say`` are those of Recorder. Return how many
-    messages came per topic (dict). Raises BagError if ``out`` exists or cannot be written.
-    """
+    """Record until a signal or for ``duration`` [s]; return messages per topic (dict)."""
     for name in topics or ():
         try:
             validate_full_topic_name(_absolute(name))

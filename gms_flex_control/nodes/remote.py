@@ -23,12 +23,7 @@ _SERVICES = {ListParameters: 'list_parameters', GetParameters: 'get_parameters',
 
 
 class RemoteNode:
-    """
-    Clients of another node, whose ``name`` without a '/' in front is in the same namespace.
-
-    ``triggers`` are its private Trigger services. `ask_all`, `describe` and `change` need ``do``,
-    which takes a callable that the spinning thread is to call soon.
-    """
+    """Clients of another node, whose ``name`` without a '/' in front is in the same namespace."""
 
     def __init__(self, node, name, triggers=(), do=None):
         self.name = name = node.resolve_service_name(name)
@@ -69,12 +64,7 @@ class RemoteNode:
             ListParameters.Request()).add_done_callback(with_names)
 
     def describe(self, prefixes) -> list | None:
-        """
-        Return the parameters below some ``prefixes`` in the order of the node.
-
-        Each is a dict of name, value, description, lower and upper (None where there is no such
-        end), choices and read_only. None if the node does not answer in time.
-        """
+        """Return parameters below some ``prefixes``, dicts, None if there is no answer."""
         listed = self._call(ListParameters, ListParameters.Request())
         if listed is None:
             return None

@@ -80,12 +80,7 @@ def give_way() -> None:
 
 
 def take_priority(node, priority) -> None:
-    """
-    Let all threads of this process go before others; those that begin later inherit it.
-
-    ``priority`` is of SCHED_FIFO, 1 to 99; 0 leaves everything as it is. Where it is not
-    permitted the log of ``node`` says so, and the node goes on without.
-    """
+    """Let all threads of this process go before others, by SCHED_FIFO 1 to 99, where permitted."""
     if not priority:
         return
     try:

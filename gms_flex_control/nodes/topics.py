@@ -181,12 +181,7 @@ class Inbox:
 
 
 class Serialized:
-    """
-    One reused JointState, with sequences of one length, or Float64MultiArray, and its bytes.
-
-    Stamp and numbers (``array('d')``) may change at any time; the rest only where the count of
-    numbers does.
-    """
+    """One reused JointState, with sequences of one length, or Float64MultiArray, and its bytes."""
 
     def __init__(self, message):
         self._message, self._has_header = message, isinstance(message, JointState)

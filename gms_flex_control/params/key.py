@@ -52,12 +52,7 @@ def _kind_of(default):
 
 def number(description: str, unit: str = '', preset=REQUIRED, lower=-math.inf, upper=math.inf,
            *, kind='', live=False, unless=(), **of_field) -> Any:
-    """
-    Return a dataclass field that carries the Key of its parameter, see `keys_of`.
-
-    ``preset`` is the default of a file, ``of_field`` goes to `dataclasses.field`; all else is as
-    in Key.
-    """
+    """Return a dataclass field that carries the Key of its parameter, see `keys_of`."""
     return field(metadata={'key': Key('', description, unit, preset, lower, upper, kind=kind,
                                       live=live, unless=unless)}, **of_field)
 
@@ -101,12 +96,7 @@ def _typed(kind, value):
 
 
 def checked(key: Key, value) -> Any:
-    """
-    Return a value as the type of its key: float, int, str, bool, or a tuple of float or str.
-
-    ConfigError begins with the key if type, range or choice does not fit; whole numbers are taken
-    for doubles.
-    """
+    """Return a value as the type of its key: float, int, str, bool, or a tuple of float or str."""
     typed = _typed(key.kind, value)
     if typed is None:
         unit = f' [{key.unit}]' if key.unit not in _NO_UNIT else ''

@@ -227,12 +227,7 @@ def _is_number(text):
 
 
 def merge_grids(x, lines) -> tuple:
-    """
-    Put ``lines`` (label, own abscissa or None for ``x``, y) on the union of their abscissae.
-
-    Returns the grid (N,) and the lines on it, (N,) each: linear between their samples, NaN
-    outside and beside a NaN. ValueError if lengths differ or an abscissa does not increase.
-    """
+    """Put ``lines`` (label, own abscissa or None for ``x``, y) on the union of their abscissae."""
     pairs = []
     for label, own, y in lines:
         abscissa = _increasing(x if own is None else own, label)
@@ -250,12 +245,7 @@ def merge_grids(x, lines) -> tuple:
 
 
 def decimate(x, values, limit) -> tuple:
-    """
-    Return x (N,) and lines (N,) as at most ``limit`` points that keep every peak.
-
-    Unchanged if N <= limit; else first and last abscissa of limit / 2 buckets, and of each line
-    the smallest and largest value of the bucket in the order they occur.
-    """
+    """Return x (N,) and lines (N,) as at most ``limit`` points that keep every peak."""
     if len(x) <= limit:
         return x, list(values)
     edges = np.linspace(0, len(x), limit // 2 + 1).astype(int)

@@ -226,12 +226,7 @@ def next_figure(plan) -> Figure:
 
 
 def separated_figure(found) -> Figure:
-    """
-    Return a Separation: torque predicted by each explanation, and measured, in the last round.
-
-    Along the measured motion, less that of the likeliest, in the equation in which they part most;
-    where a link stands its friction is whatever it likes.
-    """
+    """Return a Separation: torque predicted by each explanation, and measured, last round."""
     beliefs, last = found.beliefs, len(found.beliefs.likelihood.motions) - 1
     shown, joints = beliefs.hypotheses[:4], beliefs.robot.joints
     left = [beliefs.likelihood.torque(one.model)[last] for one in shown]

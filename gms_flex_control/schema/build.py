@@ -64,12 +64,7 @@ def joint_names(values: dict) -> tuple[str, ...]:
 
 
 def robot_from_values(values: dict) -> RobotParams:
-    """
-    Build the robot from flat parameters, such as ``{'arm.joint1.mass': 1.5, ...}``.
-
-    Keys of other nodes are left alone. ConfigError if a key is unknown or missing, or a value has
-    the wrong type or range; ParameterError if the values together make no robot.
-    """
+    """Build the robot from flat parameters, such as ``{'arm.joint1.mass': 1.5, ...}``."""
     joints = joint_names(values)
     known = known_keys(values, joints)
     flat = complete(robot_keys(joints), values)

@@ -73,12 +73,7 @@ def located(error, paths, places) -> Exception:
 
 
 def load_robot(paths) -> RobotParams:
-    """
-    Read the robot from one or more parameter files, later ones winning.
-
-    Such as ``config/robot.yaml``, perhaps followed by an identified ``friction.yaml``. ConfigError
-    or ParameterError is one sentence that begins with file and line.
-    """
+    """Read the robot from one or more parameter files, later ones winning."""
     return _built(paths, build.robot_from_values)
 
 

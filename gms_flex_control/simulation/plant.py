@@ -203,12 +203,7 @@ def substep(state, command, time, dt, constants, work) -> None:
 
 @compiled
 def advance(state, command, time, period, substeps, constants, work) -> None:
-    """
-    Advance the true state in place by one sample under a held ``command`` (n_joints,) [N m].
-
-    ``time`` is that of the state, ``period`` the sample [s]; ``state.applied`` is then the mean
-    torque the actuators gave.
-    """
+    """Advance the true state in place by one sample under a held ``command`` (n_joints,) [N m]."""
     dt = period / substeps
     state.applied[:] = 0.0
     for k in range(substeps):

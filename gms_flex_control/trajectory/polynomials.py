@@ -49,12 +49,7 @@ class Trajectory:
         return self.poly.shape[2]
 
     def sample(self, time) -> np.ndarray:
-        """
-        Return the reference and its time derivatives 1 to 4.
-
-        (5, n_joints) at a time, (T, 5, n_joints) at times (T,) [s]; before the first segment its
-        beginning counts.
-        """
+        """Return the reference and derivatives 1 to 4, (5, n_joints) or (T, 5, n_joints)."""
         times = np.atleast_1d(np.asarray(time, dtype=float))
         out = np.empty((len(times), DERIVATIVES, self.n_joints))
         _sample_all(times, *(getattr(self, name) for name in _SEGMENTED), out)

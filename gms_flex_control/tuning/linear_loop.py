@@ -90,12 +90,7 @@ def _mass_and_pull(arm, pose):
 
 
 def _controller_law(gains, model, pose, period):
-    """
-    Return the derivative (3n, 7n) of the controller at rest, compensation ``none`` or ``gms``.
-
-    It gives command and filtered friction with its rate, from the 4n measured values and the same
-    3n of the sample before.
-    """
+    """Return the derivative (3n, 7n) of the controller at rest, with ``none`` or ``gms``."""
     n = model.n_joints
     constants, work = cascade.constants_of(gains, model), cascade.workspace(n)
     reference = np.vstack([pose, np.zeros((4, n))])

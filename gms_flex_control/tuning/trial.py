@@ -118,12 +118,7 @@ def draw(robot, rng) -> tuple:
 
 
 def try_drawn(item) -> dict:
-    """
-    Draw a robot and try the controller on it; ``item`` is a Drawn.
-
-    The dict has ``factors``; ``stable``, ``gain``, ``phase`` of the linear loop; ``trials``, a
-    Trial as a dict for each of `MOTIONS`.
-    """
+    """Draw a robot and try the controller on it, as a dict; ``item`` is a Drawn."""
     rng = np.random.default_rng([item.seed, item.number])
     robot, factors = draw(item.robot, rng)
     linear = judged(robot, item.robot, item.gains, item.timing, with_delay=False)
