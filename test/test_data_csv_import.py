@@ -118,19 +118,6 @@ def test_a_channel_becomes_si_at_the_joint(load, name):
     assert log.motors == ('m1' if 'motor: m1' in lines else '',)
 
 
-def test_blanks_comments_and_columns_by_number(load):
-    def bare(content):
-        body = content.split('\n', 1)[1].replace(',', '   ')
-        return '% from the bench\n' + body
-    log = load({'t': T, 'q': Q}, """
-file: {delimiter: space, header_rows: 0, comment: '%'}
-time: {rate: 250}
-joints: {j1: {link_position: {column: 2, unit: rad}}}
-""", edit=bare)
-    np.testing.assert_array_equal(log.recording.q_link[:, 0], Q)
-    np.testing.assert_allclose(log.recording.time, T)
-
-
 def test_uneven_stamps_stay_and_resampling_is_linear(load):
     rng = np.random.default_rng(5)
     t = np.sort(rng.uniform(0, 2, 900))
@@ -274,6 +261,8 @@ joints: {j1: {link_position: {column: 2, unit: rad}}}
     ('file: {header_rows: 2}', lambda text: text.replace('t,q', 't,q\ns,rad')),
     ('file: {header_rows: 2}', lambda text: '% export of 3 May\n' + text.replace('t,q', '% t,q')),
     ('file: {delimiter: tab}', lambda text: text.replace(',', '\t')),
+    ("file: {delimiter: space, comment: '%'}",
+     lambda text: '% from the bench\n' + text.replace(',', '   ')),
     ("file: {delimiter: ';', decimal: ',', header_rows: 2}",
      lambda text: '\ufeffMessung 7\n' + text.replace(',', ';').replace('.', ','))])
 def test_usual_shapes_of_export_are_read(load, head, edit):
@@ -289,6 +278,7 @@ def test_a_forgotten_header_setting_does_not_cost_the_first_sample(load, text):
         load({'t': T, 'q': Q}, text, edit=bare)
     log = load({'t': T, 'q': Q}, 'file: {header_rows: 0}' + BY_NUMBER, edit=bare)
     np.testing.assert_array_equal(log.recording.q_link[:, 0], Q)
+    np.testing.assert_allclose(log.recording.time, T)
 
 
 REAL = [('kr300/rec_A.csv', 'import_kr300.yaml'), ('kr300/rec_B.csv', 'import_kr300.yaml')] + [

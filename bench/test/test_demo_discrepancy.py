@@ -51,11 +51,6 @@ def test_the_arm_follows_better_nearly_as_with_the_truth(report):
     assert np.all(found < 1.5 * true)
 
 
-def test_the_closed_loop_simulated_anew_comes_closer(report):
-    loop = report['discrepancy']['gap']['closed_loop']
-    assert sum(loop['after'].values()) < 0.5 * sum(loop['retuned'].values())
-
-
 @pytest.mark.parametrize('belief', ['found', 'true'])
 def test_nodes_that_know_the_effect_agree_with_one_process(outcome, belief):
     folder = outcome[0]
