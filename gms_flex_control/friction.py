@@ -35,12 +35,7 @@ def _of_direction(dq, params, name):
 
 
 def stribeck_level(dq, params) -> np.ndarray:
-    """
-    Return the Stribeck level s(dq) > 0 of FrictionParams at velocities (..., n_joints) [N m].
-
-    ``static`` at rest, falling to ``coulomb`` at speed: Eq. (4) with the direction-dependent
-    values of Table 1; zero counts as forward. The sign of motion enters in Eq. (3), not here.
-    """
+    """Return the level s(dq) > 0 of Eq. (4) at velocities (..., n_joints) [N m]."""
     static, coulomb, velocity = (
         _of_direction(dq, params, name) for name in ('static', 'coulomb', 'velocity'))
     return coulomb + (static - coulomb) * np.exp(-(np.asarray(dq) / velocity) ** 2)  # Eq. (4)

@@ -33,12 +33,7 @@ def build(dtype, **values) -> np.record:
 
 
 def views(record) -> SimpleNamespace:
-    """
-    Return the fields of a record as attributes that Python finds at once, in its own memory.
-
-    Looking up a field of a record takes microseconds, each time. A field that is a record becomes
-    the same.
-    """
+    """Return the fields of a record as attributes that Python finds at once, in its own memory."""
     fields = {name: getattr(record, name) for name in record.dtype.names}
     return SimpleNamespace(**{
         name: views(field) if isinstance(field, np.record) else field

@@ -114,12 +114,7 @@ def acting(sent, efforts, nothing, torque) -> None:
 
 
 class FrozenEncoders:
-    """
-    Distinguish encoders that have frozen from an arm that stands.
-
-    Springs, friction and encoders of the RobotParams, as believed, set what is to be expected;
-    ``torque_limit`` (n_joints,) is the largest torque that is sent [N m].
-    """
+    """Distinguish encoders that have frozen from an arm that stands, by what is believed of it."""
 
     def __init__(self, robot, torque_limit):
         self._robot, names = robot, [*robot.joints, *filter(None, robot.motors)]

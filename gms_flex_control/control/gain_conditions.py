@@ -117,12 +117,7 @@ def _largest_level(friction):
 
 
 def n2_matrices(gains, robot) -> list[np.ndarray]:
-    """
-    Return the matrix N_2 of Eq. (37), which falls apart into a symmetric one per joint.
-
-    2 rows of the link, 2 of the motor unless the joint is rigid, and one per block unless there
-    is no observer with feedback. ``s`` in C / s is the largest, the break-away level.
-    """
+    """Return the matrix N_2 of Eq. (37), which falls apart into a symmetric one per joint."""
     found = []
     levels = _largest_level(robot.friction)
     for j in range(robot.n_joints):

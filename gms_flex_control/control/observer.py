@@ -70,12 +70,7 @@ def advance_blocks(torque, sticking, turned, sign, smooth, displacement, level, 
 
 @compiled
 def advance(blocks, displacement, velocity, smooth, correction, resting, dt, friction) -> None:
-    """
-    Advance the observed blocks of all joints in place.
-
-    ``smooth`` (n,) is r(v) of Eq. (20), ``correction`` (n,) is k_e s_1 [N m/s]; blocks of a
-    joint that is ``resting`` stay as they are: fed back at rest, too much friction hunts.
-    """
+    """Advance the observed blocks of all joints in place; those of a ``resting`` one stay."""
     for j in range(friction.attraction.shape[0]):
         if resting[j]:
             continue

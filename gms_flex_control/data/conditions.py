@@ -68,12 +68,7 @@ def repeat_conditions(bag, new, keys: Sequence[str] = KEYS, load: Body | None = 
 
 
 def with_found(bag, constants: Mapping, load: Body | None, motors: Mapping) -> str:
-    """
-    Return what the file of a bag says once torque constants and a load have been found.
-
-    ``constants`` has by joint the true constant over the one stated and its relative standard
-    deviation; ``motors`` are names by which the file may know the joints.
-    """
+    """Return what the file of a bag says once torque constants and a load have been found."""
     values, stated = _stated(bag), conditions_of(bag).torque_constant or {}
     known = dict(values.get('torque_constant', {}))
     for joint, (factor, sd) in constants.items():

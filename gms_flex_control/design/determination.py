@@ -145,12 +145,7 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
 
 def experiments_for(missing: Sequence[tuple[str, str]], robots: Sequence[RobotParams],
                     gains: ControllerParams, limits: Limits) -> Experiments | None:
-    """
-    Return the Experiments that measure what is missing of the first of ``robots``.
-
-    None without any. Of several paces the fastest at which most of the experiments cross no limit
-    with any of the ``robots``.
-    """
+    """Return the Experiments that measure what is missing of the first of ``robots``, or None."""
     joints = robots[0].joints
 
     def measured_by(names):

@@ -217,12 +217,7 @@ def separate(recordings: Sequence[Recording], robot: RobotParams, sets: Sequence
              odds: float = 99.0, budget: float = 60.0, longest: float = 60.0,
              weight: float = 0.0,
              say: Callable[[str], object] = lambda text: None) -> Separation:
-    """
-    Plan, drive and update until one hypothesis is left, or nothing more can be done.
-
-    Arguments are those of `beliefs_of` and `plan_next`; ``drive`` takes a plan and its number,
-    from 1, and returns the Recording of what the robot did; ``budget`` is robot time in all [s].
-    """
+    """Plan, drive and update until one hypothesis is left, or nothing more can be done."""
     recordings, rounds, wanted = list(recordings), [], float(np.log(odds))
     while True:
         say(f'explanations along {len(recordings)} recordings')

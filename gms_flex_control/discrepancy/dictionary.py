@@ -51,12 +51,7 @@ def _fine_orders(likelihood, model):
 
 
 def guesses_of(likelihood, excluded=(), fine=None, only=None) -> list:
-    """
-    Return what is looked for, list of (effect, joint or the whole arm, Guess).
-
-    Without effects ``excluded`` (str), of ``only`` (effect, joint) if given; ``fine`` are orders
-    of waves, per joint, finer than those guessed.
-    """
+    """Return what is looked for, list of (effect, joint or the whole arm, Guess)."""
     robot, found = likelihood.robot, []
     commanded = all(motion.samples.commanded for motion in likelihood.motions)
     for name in sorted(set(names()).difference(excluded)):

@@ -304,12 +304,7 @@ def _horizon(period):
 
 
 def free_runs(motion, constants, starts=None) -> tuple:
-    """
-    Return times (S,) at which free runs of a model start [s], and how far they are off [rad].
-
-    Measured minus simulated angles of link and motor, (S, H, n) each, of an unseen link its
-    motor's, along a Motion; ``starts`` (S,) are samples, default `starts_of` the motion.
-    """
+    """Return when free runs start, (S,) [s], and measured minus simulated angles [rad]."""
     samples, constants = motion.samples, motion.carrying(constants)
     period, n = samples.period, len(samples.joints)
     horizon, starts = _horizon(period), starts_of(motion) if starts is None else starts

@@ -43,12 +43,7 @@ class Motion:
     _kept: dict = field(repr=False, default_factory=dict)
 
     def once(self, key, make) -> Any:
-        """
-        Return what ``make`` returns, of the last few keys without calling it again.
-
-        Motions that differ in torque alone share what is kept: what depends on it has ``torque``
-        in its key.
-        """
+        """Return what ``make`` returns, of the last few keys without calling it again."""
         found = self._kept.pop(key, None)
         found = make() if found is None else found
         self._kept[key] = found  # the latest one asked for is last

@@ -64,12 +64,7 @@ def with_friction(robot) -> RobotParams:
 
 
 def build(effects, joints, arm=None) -> np.record:
-    """
-    Return EffectSpecs of terms, as `with_changes` leaves them, as a record of `LAYOUT`.
-
-    They are on ``joints`` (names) of ArmParams, which only effects that depend on them need.
-    ParameterError if there are more terms, parameters or memory than the table holds.
-    """
+    """Return EffectSpecs of terms as a record of `LAYOUT`, or raise ParameterError."""
     terms = [(find(spec.name), spec) for spec in effects]
     terms.sort(key=lambda term: term[0].stage)  # stable: the file's order within a stage
     rows = [0 if kind.whole_arm else joints.index(spec.joint) for kind, spec in terms]

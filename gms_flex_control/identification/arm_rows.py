@@ -137,12 +137,7 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
 
 
 def _friction(segment, every, recording, usual, motors):
-    """
-    Return columns of friction (S, n, 8), of what lags behind it, and of coupled motors.
-
-    Friction jumps where a joint reverses: its columns are those between samples, weighted as
-    the torque is.
-    """
+    """Return columns of friction (S, n, 8), of what lags behind it, and of coupled motors."""
     period = recording.period / _BETWEEN
     rate, angle = (_interpolated(one) for one in (segment.rate, filled(segment.angle)))
 

@@ -110,12 +110,7 @@ def _windows(segment, arm, joint, period, half, size, chosen):
 
 
 def _fit_stribeck(velocity, torque):
-    """
-    Return the Stribeck of one direction through absolute values (W,) [rad/s, N m], Eq. (6).
-
-    By trust-region least squares with a soft-L1 loss (section 4's LSQCURVEFIT); all positive;
-    without enough points static equals coulomb.
-    """
+    """Return the Stribeck of one direction, Eq. (6), by least squares with a soft-L1 loss."""
     top, level = velocity.max(), max(float(np.median(torque)), 1e-12)
     slow = max(float(np.quantile(velocity, 0.1)), 1e-9)
     if len(velocity) < _FEWEST:
