@@ -199,9 +199,9 @@ def test_explanations_that_cannot_be_separated_are_refused(effects, sentence, fo
 def test_what_predicts_the_same_ends_as_inseparable_and_no_budget_as_spent(
         robot, gains, forward_only, beliefs, monkeypatch):
     """A plan that separates nothing is driven twice: the first recordings may foresee badly."""
-    monkeypatch.setattr('gms_flex_control.design.plan.predicted', lambda beliefs, candidate,
+    monkeypatch.setattr('gms_flex_control.design.separation.predicted', lambda beliefs, candidate,
                         duration, loop: Prediction(candidate, duration, beliefs.odds, ()))
-    monkeypatch.setattr('gms_flex_control.design.plan.beliefs_of',
+    monkeypatch.setattr('gms_flex_control.design.separation.beliefs_of',
                         lambda recordings, robot, sets: beliefs)
     driven = []
 
@@ -248,7 +248,7 @@ def test_the_motion_is_chosen_that_confirms_the_truth_soonest_whichever_it_is(
         gained = duration / 5.0 if candidate.name == 'strokes' else 1.0
         return Prediction(candidate, duration, np.array(
             [[0.0, odds[0] * gained / 3.0], [odds[1] * gained / 3.0, 0.0]]), ())
-    monkeypatch.setattr('gms_flex_control.design.plan.predicted', foreseen)
+    monkeypatch.setattr('gms_flex_control.design.separation.predicted', foreseen)
     beliefs = replace(beliefs, odds=np.zeros((2, 2)))
     plan = plan_next(beliefs, gains, LIMITS, period=PERIOD, longest=20.0)
     assert plan.best.candidate.name == 'strokes' and plan.probability > 0.8
@@ -402,7 +402,7 @@ def test_a_weight_costs_minutes_and_is_chosen_where_motions_do_not_do(
     beliefs = replace(beliefs_of([swings], robot, [SOFTER, WEAKER]), odds=np.zeros((2, 2)))
     for alone, by_person in ((60.0, False), (1.0, True)):
         monkeypatch.setattr(
-            'gms_flex_control.design.plan.predicted',
+            'gms_flex_control.design.separation.predicted',
             lambda beliefs, one, duration, loop, alone=alone: Prediction(one, duration, (
                 60.0 if one.load else alone if one.name == 'tones' else 0.0)
                 * np.array([[0.0, 1.0], [1.0, 0.0]]), ()))

@@ -7,11 +7,19 @@ Small ones are listed apart and change no verdict.
 
 from collections.abc import Iterator
 
-from gms_flex_control.discrepancy import fitting, thresholds, worth
+from gms_flex_control.discrepancy import fitting, thresholds
 from gms_flex_control.discrepancy.describe import evidence_of, evidence_of_ripple
 from gms_flex_control.discrepancy.evidence import posterior, State
 from gms_flex_control.discrepancy.result import Finding, Residual, Value
 from gms_flex_control.discrepancy.torque_noise import clean_torque, excess_torque
+from gms_flex_control.discrepancy.worth import (
+    caution_of,
+    dropped,
+    plausible_limit,
+    pruned,
+    timed,
+    with_fewer,
+)
 from gms_flex_control.effects.registry import find
 from gms_flex_control.identification.outcome import CONFIDENT
 import numpy as np
@@ -35,7 +43,7 @@ def parts_of(likelihood, found, held_out, most) -> Iterator[State]:
     part = found.best
     for _ in range(min(len(part.key(likelihood.known)) - 1, most)):
         part, given = min(((less, as_given(likelihood, less, found.nuisances)) for less in (
-            worth.with_fewer(likelihood, found._replace(best=part), i)
+            with_fewer(likelihood, found._replace(best=part), i)
             for i in range(likelihood.known, len(part.model.robot.effects)))),
             key=lambda pair: held_out.energy(pair[1]))
         yield given
@@ -49,12 +57,12 @@ def judged(likelihood, found, functions) -> tuple:
     some variable, of the FreeFunctions, would in its place only resembles what is there. That is
     Found, list of Worth, Free or None, and Found with effects that only resemble as well.
     """
-    found, worths = worth.pruned(likelihood, worth.timed(likelihood, found))
+    found, worths = pruned(likelihood, timed(likelihood, found))
     whole = found
     while True:
         model, columns = found.best.model, found.best.columns
         beside = functions.ranked(model, columns)
-        left = functions.left_in(model, columns, worth.caution_of(likelihood), beside)
+        left = functions.left_in(model, columns, caution_of(likelihood), beside)
         somewhere = joints_left(likelihood, model, left)
         if not worths or not somewhere:
             return found, worths, left, whole
@@ -62,7 +70,7 @@ def judged(likelihood, found, functions) -> tuple:
         if min(shares) > thresholds.RESEMBLES:
             return found, worths, left, whole
         worst = worths[int(np.argmin(shares))].index
-        found, worths = worth.pruned(likelihood, worth.dropped(likelihood, found, worst))
+        found, worths = pruned(likelihood, dropped(likelihood, found, worst))
 
 
 def predictive(likelihood, found, worths, held_out) -> tuple:
@@ -77,15 +85,14 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
         hardly = next((one.index for one in worths if find(effects[one.index].name).of_one_size
                        and not _lessened(likelihood, found, one, held_out)[2]), None)
         if hardly is not None:
-            found, worths = worth.pruned(likelihood, worth.dropped(likelihood, found, hardly))
+            found, worths = pruned(likelihood, dropped(likelihood, found, hardly))
             continue
         energy = held_out.energy(found.best)
         fewer = {one.index: held_out.energy(one.rest) for one in worths if len(worths) > 1}
         # what has stood beside it may fall with it, and another take its place: the end counts
-        ends = (worth.pruned(likelihood, worth.dropped(likelihood, found, index))
-                for index in sorted(fewer, key=fewer.get)
-                if thresholds.CLEARLY * fewer[index] <= energy)
-        limit = worth.plausible_limit(likelihood, found.best.model)
+        ends = (pruned(likelihood, dropped(likelihood, found, index)) for index in sorted(
+            fewer, key=fewer.get) if thresholds.CLEARLY * fewer[index] <= energy)
+        limit = plausible_limit(likelihood, found.best.model)
         better = next((end for end in ends if thresholds.CLEARLY * held_out.energy(
             limited(likelihood, end[0].best, limit)) <= energy), None)
         if better is None:
@@ -111,8 +118,7 @@ def _lessened(likelihood, found, one, held_out):
     in which it hardly acts do not say that it does not: blocks of those that were fitted do.
     """
     state = found.best
-    less = one.rest._replace(
-        model=one.less, plausible=worth.plausible_limit(likelihood, state.model))
+    less = one.rest._replace(model=one.less, plausible=plausible_limit(likelihood, state.model))
     before, after = held_out.torque(less), held_out.errors(state).torque
     better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
     matters = bool(np.any(better >= thresholds.PRACTICAL))
@@ -129,7 +135,7 @@ def predicting_subset(likelihood, found, held_out) -> State:
     added = range(likelihood.known, len(found.best.model.robot.effects))
 
     def tried(subset):
-        state = (found.best if len(subset) == len(added) else worth.with_fewer(
+        state = (found.best if len(subset) == len(added) else with_fewer(
             likelihood, found, *(i for i in added if i not in subset)))
         return held_out.energy(state), state, subset
     last, every = tried(()), tried(tuple(added))
@@ -151,7 +157,7 @@ def _alone(likelihood, found, worths, held_out):
     best = min(single, key=held_out.energy)
     if thresholds.BETTER * held_out.energy(best) > held_out.energy(found.best):
         return found, worths
-    other, others = worth.pruned(likelihood, found._replace(best=best))
+    other, others = pruned(likelihood, found._replace(best=best))
     return (other, others) if others else (found, worths)
 
 
@@ -189,7 +195,7 @@ def joints_left(likelihood, model, free) -> tuple:
     """Return the joints (str) in which a model leaves more than noise, or a Free function."""
     quiet = excess_torque(likelihood, model) <= np.maximum(
         thresholds.LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
-        worth.caution_of(likelihood) * clean_torque(likelihood))
+        caution_of(likelihood) * clean_torque(likelihood))
     quiet = np.all(quiet.reshape(2, -1), axis=0)  # not where it is not finite
     return tuple(name for name, is_quiet in zip(likelihood.robot.joints, quiet, strict=True)
                  if not is_quiet or free is not None and name == free.joint)
