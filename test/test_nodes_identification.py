@@ -118,7 +118,7 @@ def test_experiments_that_next_plans_find_what_was_believed_wrong_within_the_lim
                               files.load_controller(FILES[1], believed), limits)
     files.save_robot(believed, lab.folder / 'believed.yaml')
     files.save_values(planned.values | {'identification.break_away_repeats': 1},
-                lab.folder / 'identification.yaml', comment=planned.sentence())
+                      lab.folder / 'identification.yaml', comment=planned.sentence())
     lab.file, lab.believed = lab.folder / 'identification.yaml', lab.folder / 'believed.yaml'
     node = lab.begin()
     assert node.wait(bound=300.0) == 0, node.printed()

@@ -148,7 +148,7 @@ class _Learning:
     def state(self, model) -> State:
         """Return a model fitted again as a State."""
         model = fitting.fit(self.likelihood, model.robot, model.x, self._nuisances,
-                    plausible=self._plausible)
+                            plausible=self._plausible)
         return self._state(model, fitting.extended(self.likelihood, model, self._nuisances))
 
     def _state(self, model, columns):

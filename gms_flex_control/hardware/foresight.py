@@ -111,7 +111,7 @@ class Foresight:
             self._changes, self._torque = self._follower.changes, bridge.torque
 
     def efforts(self, names, fields, stamp, now) -> list | None:
-        """Return the efforts (list) that answer a message; None where that has to be found out."""
+        """Return what answers a message, a list of efforts, or None where it is not known."""
         bridge = self._bridge
         if not (self._outlook and bridge.supervisor.active
                 and self._changes == self._follower.changes and self._torque is bridge.torque

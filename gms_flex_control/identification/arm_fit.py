@@ -93,8 +93,8 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     numbers, units, axes, ripples, constant, arm = [], [], [], [], np.zeros(n), robot.arm
     for j in range(n):
         rows = axis_fit.rows_of(recordings, drives[j], j)
-        axis, ripple = axis_fit.fit_axis_with_ripple(recordings, rows, j, robot.joints[j],
-                                            recordings[0].source, arm.axes == 'rotary')
+        axis, ripple = axis_fit.fit_axis_with_ripple(
+            recordings, rows, j, robot.joints[j], recordings[0].source, arm.axes == 'rotary')
         ripples.append(ripple)
         inertia = _inertia_to_use(axis, rows)
         arm = with_axis(arm, j, inertia, axis.cosine, axis.sine)
