@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.fitting import retuned
-from gms_flex_control.discrepancy.gap import all_known, free_rms, free_runs, torque_rms
+from gms_flex_control.discrepancy.gap import all_known, FARTHEST, free_rms, free_runs, torque_rms
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
@@ -18,7 +18,6 @@ from gms_flex_control.simulation.loop import Loop
 import numpy as np
 
 _POINTS = 12_000      # of free runs over time, about
-_FARTHEST = 10.0      # errors of runs and loops that run away are cut there [rad]
 # of the closed loop
 LEAST_TIME = 1.0   # with a reference all along, shorter recordings are of no use [s]
 _LONGEST = 5.5     # periods between samples of one segment
@@ -86,7 +85,7 @@ def free_runs_of(behind, holdout=()) -> FreeRuns:
     for model in (behind.before, behind.after):
         starts, link, _ = free_runs(motion, likelihood.constants(model.robot, model.x))
         step = max(1, int(np.ceil(link.shape[1] * len(starts) / _POINTS)))
-        error = -np.clip(link, -_FARTHEST, _FARTHEST)[:, ::step]
+        error = -np.clip(link, -FARTHEST, FARTHEST)[:, ::step]
         error[~all_known(motion, starts)] = np.nan  # a hole in the angles
         error[:, -1] = np.nan  # lifts the pen before the next start
         errors.append(error.reshape(-1, link.shape[2]))
@@ -201,7 +200,7 @@ def closed_loop_of(behind, recordings, gains) -> ClosedLoop:
 
 def _rms(runs, others):
     """Return the rms difference of angles (T, n) over all recordings (n,)."""
-    squares = [np.clip(np.nan_to_num(run - other, nan=_FARTHEST), -_FARTHEST, _FARTHEST) ** 2
+    squares = [np.clip(np.nan_to_num(run - other, nan=FARTHEST), -FARTHEST, FARTHEST) ** 2
                for run, other in zip(runs, others, strict=True)]
     return np.sqrt(np.concatenate(squares).mean(axis=0))
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from gms_flex_control import friction as gms
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.fitting import at_values, numbers_of, values_of
-from gms_flex_control.discrepancy.null_simulation import null_simulation
+from gms_flex_control.discrepancy.null_simulation import null_simulation, STEP
 from gms_flex_control.discrepancy.residuals import (
     acts,
     cleared,
@@ -28,10 +28,9 @@ from gms_flex_control.simulation import plant
 from gms_flex_control.simulation.predictor import copy_state
 import numpy as np
 
-_FARTHEST = 10.0      # errors of free runs that run away count as so much [rad]
+FARTHEST = 10.0       # errors of runs and loops that run away count as so much [rad]
 _SEED = 991           # of the null simulation behind the noise floor, used in no fit
 HORIZON, STRIDE = 0.5, 0.5   # length of a run, and from one start to the next [s]
-_STEP = 4e-4                 # of the integration [s]
 
 
 class Errors(NamedTuple):
@@ -218,7 +217,7 @@ def _squares_of_runs(job):
     time = motion.samples.time[starts]
     at = np.clip(np.searchsorted(whitening.time, time - motion.samples.time[0]), 0, len(mask) - 1)
     _, link, motor = free_runs(motion, constants, starts[mask[at] & all_known(motion, time)])
-    link, motor = (np.clip(np.nan_to_num(one, nan=_FARTHEST), -_FARTHEST, _FARTHEST)
+    link, motor = (np.clip(np.nan_to_num(one, nan=FARTHEST), -FARTHEST, FARTHEST)
                    for one in (link, motor))
     return np.mean(link ** 2 + motor ** 2, axis=1) / 2.0
 
@@ -312,7 +311,7 @@ def free_runs(motion, constants, starts=None) -> tuple:
     link, motor = np.empty((2, len(starts), horizon, n))
     pushed = np.zeros_like(samples.command) if samples.pushed is None else samples.pushed
     run_freely(states, base, samples.command, pushed, samples.supply, samples.time, period,
-               max(1, round(period / _STEP)), starts, horizon, constants, fresh_state(constants),
+               max(1, round(period / STEP)), starts, horizon, constants, fresh_state(constants),
                fresh_state(constants), plant.workspace(n), link, motor)
     rows = starts[:, None] + np.arange(horizon)
     link, motor = readings[rows, 0] - link, readings[rows, 1] - motor

@@ -37,7 +37,7 @@ _ALONE = 60.0         # likewise, where nothing but the motor holds the link
 _OF_LINKS = 15.0      # likewise, of the push [rad/s]
 _DAMPED = 1.4         # twice the damping ratio of both
 _OF_RATE = 0.3        # of the sample rate: so much it is at most [rad]
-_STEP = 4e-4          # of the integration [s]
+STEP = 4e-4           # of the integration [s]
 NUISANCE_STEP = 0.01  # relative change of a nuisance parameter, for its derivative
 _WILD = 4.0           # times the squared torque that the recording lacks: driven wild
 _MOSTLY = 0.3         # of the squares of a derivative: noise shows more than the model does
@@ -111,7 +111,7 @@ def null_readings(motion, constants) -> Callable:
     state.q_link[:], state.dq_link[:], state.q_motor[:], state.dq_motor[:] = first[[0, 1, 3, 4]]
     held, pushed, link, motor = np.empty((4, *samples.command.shape))
     simulate_along(samples.states, samples.command, samples.supply, samples.time, samples.period,
-                   max(1, round(samples.period / _STEP)), gains, constants, state,
+                   max(1, round(samples.period / STEP)), gains, constants, state,
                    plant.workspace(n), held, pushed, link, motor)
     readings = np.stack([link, motor], axis=1)
     if not np.all(np.isfinite(readings)):

@@ -17,12 +17,11 @@ from gms_flex_control.schema.build import (
 from gms_flex_control.schema.files import load_robot, located, read_values
 from gms_flex_control.schema.keys import known_keys, plant_node_keys, trajectory_keys
 from gms_flex_control.simulation import loop
-from gms_flex_control.simulation.loop import Run, SteppedPlant
+from gms_flex_control.simulation.loop import NANOSECONDS, Run, SteppedPlant
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.polynomials import require_within, Trajectory
 import numpy as np
 
-NANOSECONDS = 1_000_000_000
 ENDLESS_DURATION = 20.0  # of a motion without end where none is given [s]
 
 

@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 import numpy as np
 
 DIRECTIONS = ((1.0, 'forward', style.COLOURS[0]), (-1.0, 'backward', style.COLOURS[1]))
-MOST_LOOPS = 6        # drawn in one picture
 _MOST_POINTS = 4000   # of a cloud
 _CLEAR = 0.99         # of what is drawn there: the farthest bins are cut
 _LOW_PASS, _SLOW = 8.0, 3.0  # of predicted torques, beside measured ones too [Hz]
@@ -49,7 +48,7 @@ def map_figure(result) -> Figure:
 def loops_figure(result) -> Figure:
     """Return hysteresis loops of a JointResult (Fig. 4) and the presliding curve, 95 % band."""
     figure, (loops, curve) = style.side_by_side(2)
-    for i, loop in enumerate(result.loops[:MOST_LOOPS]):
+    for i, loop in enumerate(result.loops):
         loops.plot(1e3 * loop.displacement, loop.torque, color=style.COLOURS[0], linewidth=0.9,
                    label='measured' if i == 0 else None)
         loops.plot(1e3 * loop.model_displacement, loop.torque, 'k--', linewidth=0.8,
