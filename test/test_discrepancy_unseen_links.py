@@ -4,7 +4,8 @@
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
-from discrepancy_runs import likelihood_of, retuned_of
+from discrepancy_runs import as_believed, likelihood_of, retuned_of
+from gms_flex_control.discrepancy.fitting import with_white_noise
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import drive_torque, motion_as_modelled, unexplained
@@ -91,6 +92,17 @@ def test_torque_noise_is_measured_though_it_moves_the_links_computed():
     noisy = likelihood.with_noise(reported)
     model, _ = retuned_of(noisy)
     assert np.mean(model.rows ** 2) == pytest.approx(np.mean(noisy.clean ** 2), rel=0.3)
+
+
+@pytest.mark.parametrize('population, seed', [('noise_3', 8), ('noise_6', 9), ('noise_6', 7)])
+def test_parameters_that_only_lessen_noise_of_computed_links_are_no_likelier(population, seed):
+    case = make_case('clean', seed, population=population, duration=20.0)
+    exact = replace(case, recording=blind(case.recording), nominal=case.truth.robot)
+    likelihood, _ = with_white_noise(likelihood_of(exact))
+    np.testing.assert_allclose(likelihood.noise[0, :2], case.truth.torque_noise, rtol=0.3)
+    gained = as_believed(likelihood).cost - retuned_of(likelihood)[0].cost
+    # chance gives 1 per parameter; with the noise in torques alone 79 to 1056 are gained
+    assert gained < 3.0 * len(likelihood.nuisances)
 
 
 def test_an_effect_is_named_by_the_motors_alone_and_it_is_said_what_is_lost():

@@ -21,7 +21,6 @@ from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, with_eff
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
-from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.experiment.simulated import Plan, run_plan, to_recording
 from gms_flex_control.hardware.limits import Limits
@@ -133,9 +132,8 @@ def resolving(beliefs: Beliefs, odds: np.ndarray, wanted: float) -> np.ndarray:
 def beliefs_of(recordings: Sequence[Recording], robot: RobotParams,
                sets: Sequence[Collection]) -> Beliefs:
     """Fit each hypothesis, a set of (effect, joint), to recordings; ConfigError if impossible."""
-    likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot, cautious=True)
-    model, _ = fitting.retuned(likelihood, robot, np.zeros(len(likelihood.nuisances)))
-    likelihood = likelihood.with_noise(white_noise(likelihood, model))
+    likelihood, model = fitting.with_white_noise(Likelihood(
+        [motion_of(one, robot) for one in recordings], robot, cautious=True))
     base, nuisances = fitting.retuned(likelihood, robot, model.x, PLAUSIBLE)
     dictionary = Dictionary(likelihood, base, only=set().union(*sets))
     found = sorted((_fitted(likelihood, base, nuisances, dictionary, frozenset(one))

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.nuisance import LARGEST
+from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
+from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.effects.registry import bounds_of, find
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -326,6 +328,18 @@ def retuned(likelihood, robot, x, plausible=np.inf, columns=None) -> tuple:
             break
         columns = likelihood.columns(model)
     return model, columns
+
+
+def with_white_noise(likelihood) -> tuple:
+    """
+    Return the Likelihood with the white torque noise of its recordings, and a Fitted re-tuned.
+
+    Noise moves links that are computed from torques: without it parameters that lessen it, such
+    as light links, look likely, and are kept where they are plausible.
+    """
+    model, _ = retuned(likelihood, likelihood.robot, np.zeros(len(likelihood.nuisances)),
+                       PLAUSIBLE if likelihood.unseen else np.inf)
+    return likelihood.with_noise(white_noise(likelihood, model)), model
 
 
 def refitted(likelihood, model, nuisances, iterations=8) -> tuple:

@@ -155,13 +155,39 @@ class Likelihood:
             return made if k < 2 else None, [unexplained(motion, constants) for motion in made]
         runs, clean = zip(*self.pool.map(run, range(_NULL_RUNS)), strict=True)
         bands = [Band(len(motion.time), motion.period, motion.known) for motion in self.motions]
+        self.null = NullRuns(robot, x, clean, runs[:2], bands, self._by_step(
+            robot, x, runs[:2], bands))
+        self._whiten(np.zeros((len(self.motions), 2 * robot.n_joints)))
+
+    def _by_step(self, robot, x, pair, bands):
+        """Return the spectra of a pair of null simulations by step of each nuisance parameter."""
         steps = () if self._held_out else (*(NUISANCE_STEP * np.eye(len(x))), np.zeros(len(x)))
 
         def stepped(step):
             return [[band.spectra(residual) for band, residual in zip(
-                bands, self.residuals(run, robot, x + step), strict=True)] for run in runs[:2]]
-        self.null = NullRuns(robot, x, clean, runs[:2], list(self.pool.map(stepped, steps)))
-        self._whiten(np.zeros((len(self.motions), 2 * robot.n_joints)))
+                bands, self.residuals(run, robot, x + step), strict=True)] for run in pair]
+        return list(self.pool.map(stepped, steps))
+
+    def _with_torque_noise(self, null):
+        """
+        Return NullRuns whose pair has torque noise where links are computed from torques.
+
+        It enters their angles, and so, like noise of encoders, times inertia and stiffness.
+        """
+        computed = [self.robot.joints.index(joint) for joint in self.unseen]
+        size = np.zeros((len(self.motions), self.robot.n_joints))
+        size[:, computed] = self.noise[:, computed]
+        if not size.any():
+            return null
+
+        def noisy(k, m):
+            rng = np.random.default_rng([self.seed, 10, k, m])
+            motion = null.pair[k][m]
+            drawn = size[m] * rng.standard_normal(motion.samples.command.shape)
+            return motion.with_torque(object(), lambda command: command + drawn)
+        pair = [[noisy(k, m) for m in range(len(self.motions))] for k in range(len(null.pair))]
+        return null._replace(pair=pair, by_step=self._by_step(
+            null.robot, null.x, pair, null.bands))
 
     def simulated_as(self, model) -> Self:
         """Return the Likelihood whose null simulations are those of a Fitted, without noise."""
@@ -190,10 +216,12 @@ class Likelihood:
         self.usual, count = clean.mean(axis=0), len(clean)
         self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
         if not self._held_out:
+            misread = self._with_torque_noise(self.null)
+            self.pair = misread.pair
             self.encoder_noise = EncoderNoise(
                 self, self.null.robot, self.null.x,
                 [[self.whitened.rows_of_spectra(run) for run in pair]
-                 for pair in self.null.by_step],
+                 for pair in misread.by_step],
                 self._cautious)
 
     def learn_noise(self, guesses) -> set[tuple[str, str]]:
@@ -296,7 +324,7 @@ class Likelihood:
 
     def of_pair(self, robot, x) -> list:
         """Return whitened residuals (R,) of a model along two null simulations of one motion."""
-        return [self.whitened.rows_of(self.residuals(run, robot, x)) for run in self.null.pair]
+        return [self.whitened.rows_of(self.residuals(run, robot, x)) for run in self.pair]
 
     def residuals(self, motions, robot, x) -> list:
         """Return residual torques per unit of commanded torque, (S, 2 n) of each motion [N m]."""

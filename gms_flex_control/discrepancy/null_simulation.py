@@ -164,6 +164,7 @@ class NullRuns(NamedTuple):
     x: np.ndarray       # (P,) nuisance parameters
     clean: tuple        # of runs, each a list of residual torques (S, 2 n) of a recording [N m]
     pair: tuple         # of two runs, each a list of Motion
+    bands: list         # of Band, one for each recording
     by_step: list       # spectra of the pair, each nuisance `NUISANCE_STEP` off, then as it is
 
 

@@ -279,7 +279,7 @@ def _shapes(likelihood, j):
     """
     motions, found, noise = likelihood.motions, {}, {}
     own, *null = ([variables(motion, j) for motion in run]
-                  for run in (motions, *likelihood.null.pair))
+                  for run in (motions, *likelihood.pair))
     others = [of_others(motion, j) for motion in motions]
     longest = max(motion.time[-1] - motion.time[0] for motion in motions)
     moving, *ways = ([_direction(one['link rate']) for one in run] for run in (own, *null))

@@ -20,7 +20,7 @@ from gms_flex_control.discrepancy.findings import (
     predicting_subset,
     predictive,
 )
-from gms_flex_control.discrepancy.fitting import is_within, retuned
+from gms_flex_control.discrepancy.fitting import is_within, with_white_noise
 from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
@@ -97,8 +97,9 @@ def find_discrepancy(
 def _compared(motions, holdout, robot, options, say):
     """Return the Discrepancy of motions with a robot as believed."""
     say('null simulations: what recordings look like in which nothing is missing')
-    likelihood, found = _searched(_with_noise(Likelihood(
-        motions, robot, options.seed, widened=options.widened)), options, say)
+    likelihood, _ = with_white_noise(Likelihood(
+        motions, robot, options.seed, widened=options.widened))
+    likelihood, found = _searched(likelihood, options, say)
     say('held-out prediction')
     searched = found
     functions = FreeFunctions(likelihood)
@@ -163,12 +164,6 @@ def _result(likelihood, found, searched, after, findings, left, gap, retuned_alo
         behind=Behind(likelihood, found.before.model, found.best.model, after.model,
                       retuned_alone),
         robot=with_nuisances(after.model.robot, likelihood.nuisances, after.model.x))
-
-
-def _with_noise(likelihood):
-    """Return the Likelihood with the white torque noise of its recordings."""
-    model, _ = retuned(likelihood, likelihood.robot, np.zeros(len(likelihood.nuisances)))
-    return likelihood.with_noise(white_noise(likelihood, model))
 
 
 def _searched(likelihood, options, say):
