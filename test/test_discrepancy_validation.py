@@ -21,6 +21,7 @@ from gms_flex_control.discrepancy.validation import (
     Gain,
     gain_of,
     gain_over,
+    of_blocks,
     prediction_cost,
     steps,
 )
@@ -48,6 +49,17 @@ def likelihood(case):
 def clean():
     """Return the Likelihood of a robot that is nearly as believed."""
     return likelihood_of(make_case('clean', 5, duration=20.0))
+
+
+def test_noise_of_encoders_costs_a_model_no_held_out_likelihood():
+    rng, rows = np.random.default_rng(3), 200_000
+    every, drawn = np.ones(rows, dtype=bool), 0.3 * rng.standard_normal((3, rows))
+    one_block = SimpleNamespace(groups=SimpleNamespace(block=np.zeros(rows, dtype=int), blocks=1))
+    quiet = rng.standard_normal(rows)
+    best, raw, cleared = (float(of_blocks(one_block, every, *given)[0]) for given in (
+        (quiet, 1.0), (quiet + drawn[0], 1.0),
+        (quiet + drawn[0], 1.0, 0.5 * (drawn[1] - drawn[2]) ** 2)))
+    assert abs(cleared - best) < 0.05 * (best - raw)
 
 
 def gain_with(likelihood, spec):

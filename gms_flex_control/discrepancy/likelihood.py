@@ -298,6 +298,12 @@ class Likelihood:
         return 0.5 * weight * model.sums.cleared[self.groups.group] * self.encoder_noise.along(
             model.robot, model.x)
 
+    def noise_added(self, model) -> np.ndarray:
+        """Return what encoder noise adds to squares of rows (R,) beyond null simulations."""
+        noise = self.encoder_noise
+        return 0.5 * model.sums.cleared[self.groups.group] * (
+            noise.along(model.robot, model.x) ** 2 - noise.own ** 2)
+
     def constants(self, robot, x) -> np.record:
         """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
         mine = x[:len(self.nuisances)]  # recordings held out have none of their own

@@ -44,15 +44,20 @@ class Gain(NamedTuple):
 
 def predicted(likelihood, model, columns, plausible=PLAUSIBLE) -> np.ndarray:
     """Return the log likelihood of blocks, each predicted from the others, shape (B,)."""
-    weight = likelihood.weights(model.sums.groups)
-    return sum(of_blocks(likelihood, left_out, model.rows + step @ columns, weight)
+    weight, added = likelihood.weights(model.sums.groups), likelihood.noise_added(model)
+    return sum(of_blocks(likelihood, left_out, model.rows + step @ columns, weight, added)
                for left_out, step in steps(likelihood, model, columns, plausible))
 
 
-def of_blocks(likelihood, left_out, rows, weight) -> np.ndarray:
-    """Return the log likelihood of blocks (B,), of rows (R,) that are left out, so weighted."""
-    density = (0.5 * np.log(weight)
-               - 0.5 * (_DEGREES + 1.0) * np.log1p(rows ** 2 * weight / _DEGREES))
+def of_blocks(likelihood, left_out, rows, weight, added=0.0) -> np.ndarray:
+    """
+    Return the log likelihood of blocks (B,), of rows (R,) that are left out, so weighted.
+
+    To first order it is cleared of what encoder noise has ``added`` (R,) to squares.
+    """
+    squares = rows ** 2 * weight / _DEGREES
+    density = 0.5 * np.log(weight) - 0.5 * (_DEGREES + 1.0) * (
+        np.log1p(squares) - added * weight / _DEGREES * (1.0 - squares) / (1.0 + squares) ** 2)
     return np.bincount(likelihood.groups.block[left_out], density[left_out],
                        likelihood.groups.blocks)
 
