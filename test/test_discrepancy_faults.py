@@ -4,13 +4,16 @@
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
+from bench.hidden_robots.truth import simulate_open
 from faulty import clipped, FAULTS, healthy, SIDES, taken
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.result import BAD_DATA, UNEXPLAINED
 from gms_flex_control.discrepancy.samples import faults_of
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import names
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification.recording_checks import check
+from identified_axis import axis
 import numpy as np
 import pytest
 
@@ -136,6 +139,22 @@ def test_torque_that_was_recorded_late_is_named(case):
     first = result.findings[0]
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
     assert first.values[0].value == pytest.approx(-2e-3, rel=0.1)
+
+
+def test_torque_of_a_single_axis_that_was_recorded_late_is_named():
+    """Where torque was measured no drive is late: nothing else may stand for it."""
+    robot, time = axis(rigid=True), 2e-3 * np.arange(10_001)
+    command = sum(size * np.sin(2.0 * np.pi * hertz * time[:-1])
+                  for size, hertz in ((0.3, 0.7), (0.3, 1.9), (0.15, 4.3)))
+    angle = simulate_open(robot, command[:, None])[:, 0]
+    measured = np.append(np.zeros(2), command[:-1])  # of the sample that ended, a sample late
+    result = find_discrepancy([Recording(
+        joints=robot.joints, time=time, q_link=angle + 1e-6 * np.random.default_rng(
+            4).standard_normal(angle.shape), tau_motor=measured[:, None],
+        source='late')], robot, Options(most=1))
+    first = result.findings[0]
+    assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
+    assert first.values[0].value == pytest.approx(-2e-3, rel=0.05)
 
 
 def test_who_insists_is_answered(case):

@@ -64,8 +64,8 @@ def guesses_of(likelihood, excluded=(), fine=None, only=None) -> list:
                     or joint in likelihood.unseen and kind.needs_link_encoder):
                 continue
             if kind.whole_arm and kind.needs_link_encoder and (
-                    likelihood.unseen or robot.n_joints == 1):
-                continue
+                    likelihood.unseen or robot.n_joints == 1 and commanded):
+                continue  # of a single joint a drive that is late does the same
             scales = likelihood.scales_of(joint)._replace(fine_orders=fine[at] if fine else ())
             bounds = kind.search_bounds(at, robot)
             found += [(name, joint, allowed(guess, *bounds)) for guess in kind.guesses(scales)]
