@@ -70,10 +70,16 @@ def part(recorded, begin, end):
 
 
 def pendulum(inertia=0.02, pull=0.5, offset=-1.2, constant=0.0, seconds=40.0, rate=200.0, seed=0,
-             ripple=(0.0, 0.0, 0.0), pace=1.0, per_load=0.0):
-    """Return a Recording of a pendulum with Coulomb and viscous friction, in closed form."""
-    time = np.arange(int(seconds * rate)) / rate
+             ripple=(0.0, 0.0, 0.0), pace=1.0, per_load=0.0, early=0.0):
+    """
+    Return a Recording of a pendulum with Coulomb and viscous friction, in closed form.
+
+    Its torques are stamped ``early`` [s].
+    """
+    stamps = np.arange(int(seconds * rate)) / rate
     parts = [(0.9, 0.31 * pace, 0.0), (0.5, 0.83 * pace, 1.0), (0.25, 1.7 * pace, 2.0)]
+    read = sum(a * np.sin(2 * np.pi * f * stamps + p) for a, f, p in parts)
+    time = stamps + early
     q = sum(a * np.sin(2 * np.pi * f * time + p) for a, f, p in parts)
     dq = sum(a * 2 * np.pi * f * np.cos(2 * np.pi * f * time + p) for a, f, p in parts)
     ddq = -sum(a * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time + p) for a, f, p in parts)
@@ -82,5 +88,5 @@ def pendulum(inertia=0.02, pull=0.5, offset=-1.2, constant=0.0, seconds=40.0, ra
     torque /= 1.0 - per_load * np.tanh(dq / 0.01) * np.sign(torque)  # of all that is carried
     torque = torque + 2e-3 * np.random.default_rng(seed).standard_normal(len(time))
     held = np.append(torque[0], 0.5 * (torque[1:] + torque[:-1]))
-    return Recording(joints=('swing',), time=time, q_link=q[:, None], tau_motor=held[:, None],
+    return Recording(joints=('swing',), time=stamps, q_link=read[:, None], tau_motor=held[:, None],
                      source='pendulum')

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from gms_flex_control.identification.arm_fit import with_axis
 from gms_flex_control.identification.assumed_robot import rigid_joints
-from gms_flex_control.identification.believed_arm import believed_arm
+from gms_flex_control.identification.believed_arm import believed, Believed
 from gms_flex_control.identification.identify import identify, Options
-from identified_axis import pendulum
+from identified_axis import axis, experiment, JOINT, pendulum
 import numpy as np
 import pytest
 
@@ -40,5 +40,39 @@ def test_friction_is_that_of_the_joint_where_a_link_weighs_less_than_described(h
 
 
 def test_recordings_show_the_arm_that_is_hardly_known():
-    arm = believed_arm([pendulum()], described(1.3, gravity=0.3, inertia=0.3))
-    assert moment(arm) == pytest.approx(PULL, rel=5e-3)
+    found = believed([pendulum()], described(1.3, gravity=0.3, inertia=0.3))
+    assert moment(found.arm) == pytest.approx(PULL, rel=5e-3)
+
+
+@pytest.mark.parametrize(('sd', 'within'), [(0.1, 3e-3), (0.015, 0.02)])
+def test_the_torque_of_a_motor_shows_how_stiff_its_spring_is(sd, within):
+    """The spring's own torque does not: links and friction would be off by the same factor."""
+    recording, robot = experiment(rigid=False)[0], axis(rigid=False)
+    stiff = replace(robot, arm=replace(robot.arm, stiffness=1.06 * robot.arm.stiffness),
+                    uncertainty={('stiffness', JOINT): sd})
+    found = believed([recording], stiff).arm
+    assert found.stiffness == pytest.approx(robot.arm.stiffness, rel=within)
+    surely = replace(stiff, uncertainty={('stiffness', JOINT): 1e-4})
+    assert believed([recording], surely).arm.stiffness == stiff.arm.stiffness
+
+
+@pytest.mark.parametrize('early', [-0.004, 0.005])
+def test_friction_is_that_of_the_joint_where_torques_are_stamped_early_or_late(early):
+    """A log of 100 Hz has a torque that acts 4 ms later in the mean, or held 5 ms earlier."""
+    recording = pendulum(early=early, pace=2.0)
+    found = believed([recording], described())
+    assert found.delay == pytest.approx([early], abs=2e-4)
+    friction = identify([recording], described(), options=Options(blocks=(1,))).robot.friction
+    for side in (friction.forward, friction.backward):
+        assert side.coulomb[0] == pytest.approx(COULOMB, rel=0.05)
+
+
+def test_torques_in_time_stay_as_they_were_recorded():
+    recording = pendulum()
+    assert believed([recording], described()).delay == 0.0
+
+
+def test_a_ramp_of_torque_that_acts_later_is_lower_by_what_it_rose_in_between():
+    recording = replace(pendulum(), tau_motor=3.0 * pendulum().time[:, None])
+    late = Believed(described().arm, np.array([0.013])).in_time(recording).tau_motor
+    np.testing.assert_allclose(late[5:-5], recording.tau_motor[5:-5] - 3.0 * 0.013, atol=1e-12)

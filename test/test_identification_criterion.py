@@ -4,6 +4,7 @@
 from core_runs import single_axis
 from discrepancy_runs import FRICTIONLESS
 from gms_flex_control.data.recording import Recording
+from gms_flex_control.identification.believed_arm import Believed
 from gms_flex_control.identification.identify import Data, identify, Options
 from gms_flex_control.identification.least_squares import TorqueError
 from gms_flex_control.identification.objective import everything, Objective
@@ -34,7 +35,8 @@ def recorded(drop, noise, seed, seconds=24.0, period=2e-3):
 def test_a_correction_of_the_arm_explains_the_torque_of_what_was_believed_wrongly():
     """The axis turns by 0.05 kg m^2, 0.04 are believed: the rest is the one further torque."""
     robot = single_axis(FRICTIONLESS, 0.8 * INERTIA)
-    bundle = Data([(recorded(0.0, 0.0, 0), ())], (), robot, arm=robot.arm).bundle
+    bundle = Data([(recorded(0.0, 0.0, 0), ())], (), robot,
+                  beside=Believed(robot.arm, np.zeros(1))).bundle
     bundle = bundle._replace(extras=(lambda segment: -segment.acceleration,))
     left = {}
     for correction in (0.0, 0.2 * INERTIA):

@@ -71,6 +71,9 @@ LINKS = option('--joints', nargs='+', metavar='NAME', help='link names in the ba
 MOTORS = option('--motors', nargs='+', metavar='NAME', help='motor names in the bags')
 OUT_FILE = option('--out', metavar='FILE', help='default: print it')
 FORCE = option('--force', action='store_true', help='go on in spite of faults in the data')
+WIDEN = option('--widen', type=float, default=1.0, metavar='TIMES', least=1e-6, most=100.0,
+               help='standard deviations of known parameters, as a multiple of the usual ones: '
+                    '1.5 %% of inertia and stiffness, 2 %% of friction (default: 1)')
 JSON = option('--json', action='store_true', help='print the result as JSON instead of text')
 WORKERS = option('--workers', type=int, default=2, metavar='N',
                  help='processes of this machine (default: 2)')

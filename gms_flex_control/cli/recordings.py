@@ -135,7 +135,8 @@ def _written(args, options):
 
 
 def _options_of(args):
-    chosen = {'force': args.force, 'estimate': 'all' if args.robot is None else args.estimate}
+    chosen = {'force': args.force, 'widened': args.widen,
+              'estimate': 'all' if args.robot is None else args.estimate}
     if args.blocks:
         wrong = [n for n in args.blocks if not 1 <= n <= MOST_BLOCKS]
         if wrong:

@@ -15,6 +15,7 @@ from gms_flex_control.cli.options import (
     out_folder,
     ROBOT,
     Verb,
+    WIDEN,
     WORKERS,
 )
 from gms_flex_control.params.gains import COMPENSATIONS
@@ -148,7 +149,7 @@ _IDENTIFY = Verb(
                help='numbers of Maxwell blocks to choose from'),
         option('--joints', nargs='+', metavar='NAME',
                help='joints to take from the bags; default: all of the robot'),
-        FORCE, JSON),
+        WIDEN, FORCE, JSON),
     ('identify my_bag --robot robot.yaml --out results',
      'identify first second --robot robot.yaml --holdout third --out results',
      'identify my_bag --out results'))
@@ -174,9 +175,7 @@ _DISCREPANCY = Verb(
                help='where something remains unexplained, learn a term for it that physics '
                     'allows, without a name, and add it to the model if it predicts held-out '
                     'data better'),
-        option('--widen', type=float, default=1.0, metavar='TIMES', least=1e-6, most=100.0,
-               help='standard deviations of known parameters, as a multiple of the usual ones: '
-                    '1.5 %% of inertia and stiffness, 2 %% of friction (default: 1)'),
+        WIDEN,
         option('--models', nargs='+', default=[], metavar='FILE',
                help='further models of the robot to compare on the same bags'),
         option('--controller', nargs='+', default=[], metavar='FILE',

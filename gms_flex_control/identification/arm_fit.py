@@ -84,7 +84,7 @@ class ArmFit(NamedTuple):
 def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     """Estimate the arm of recordings; the robot's kind, lengths and frames are relied on."""
     n = robot.n_joints
-    motors = tuple(axis_fit.fit_motor(recordings, j) if _two_sided(recordings, j) else None
+    motors = tuple(axis_fit.fit_motor(recordings, j) if two_sided(recordings, j) else None
                    for j in range(n))
     robot = replace(robot, arm=with_motors(robot.arm, motors))
     if robot.arm.frames or robot.arm.kind == 'planar' and n > 1:
@@ -128,7 +128,7 @@ def _of_chain(recordings, robot, motors):
                   fit.differences if robot.arm.frames else None, fit.spread)
 
 
-def _two_sided(recordings, joint):
+def two_sided(recordings: Sequence, joint: int) -> bool:
     """Return whether both sides and the torque of a joint were measured."""
     return all(np.isfinite(getattr(recording, name)[:, joint]).sum() > 100
                for recording in recordings for name in ('q_link', 'q_motor', 'tau_motor'))

@@ -28,6 +28,8 @@ from typing import NamedTuple
 from gms_flex_control.data.signal_analysis import (
     derivative_window,
     means_to_next,
+    noise_of,
+    rms,
     smoothed,
     standing_out,
 )
@@ -44,6 +46,7 @@ from scipy.optimize import minimize_scalar
 RIPPLE = TorqueRipple.name
 SKEWED = 0.3       # part of the deflection's torque that goes with the velocity, at most
 _FEWEST = 60       # moving rows
+_NOISE_SD = 0.5    # to which the share of the torsion's variance that is noise is known
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there, or if cancelled
@@ -335,19 +338,62 @@ class MotorFit(NamedTuple):
 
 def fit_motor(recordings: Sequence, joint: int) -> MotorFit | None:
     """Fit the motor's equation of one joint, both sides and torque measured; None of too few."""
-    drive = held_torque(joint)
-    parts = [np.stack([torque.value, motor.second, motor.value - link.value,
-                       motor.first - link.first, np.ones(len(block)), link.first,
-                       np.sign(link.first), block])
-             for (motor, link, torque), block in filtered(recordings, lambda one: (
-                 [one.q_motor[:, joint], one.q_link[:, joint]], [drive(one)]))]
-    if not parts or sum(part.shape[1] for part in parts) < _FEWEST:
+    rows = _motor_rows(recordings, joint)
+    if rows is None:
         return None
-    table = np.concatenate(parts, axis=1)
-    target, columns, block = table[0], table[1:7].T, table[7].astype(int)
+    target, columns, block, _ = rows
     values, error = solution(columns, target, block)
     explained = 1.0 - np.var(target - columns @ values) / max(np.var(target), 1e-300)
     skew = abs(values[4]) * np.std(columns[:, 4]) / max(
         abs(values[1]) * np.std(columns[:, 1]), 1e-300)
     share = np.abs(values[:3]) * np.std(columns[:, :3], axis=0) / max(np.std(target), 1e-300)
     return MotorFit(*map(float, values[:3]), error[:3], float(explained), float(skew), share)
+
+
+def fit_stiffness(recordings: Sequence, joint: int, inertia: float,
+                  sd: float) -> tuple[float, float, np.ndarray] | None:
+    """
+    Return stiffness [N m/rad] by the motor's equation, its error, and what two others leave.
+
+    The motor's ``inertia`` is known to ``sd`` [kg m^2]. The last is a function: stiffness -> rms
+    torque that is left with it [N m]. None where too little was measured.
+    """
+    rows = _motor_rows(recordings, joint)
+    if rows is None:
+        return None
+    target, columns, block, noise = rows
+    target, others = target - inertia * columns[:, 0], columns[:, 1:]
+    error = solution(others, target, block)[1][0]
+    alone = np.column_stack([target, others[:, 0], columns[:, 0]])
+    alone -= others[:, 1:] @ np.linalg.lstsq(others[:, 1:], alone, rcond=None)[0]
+    torque, torsion, motor = alone.T
+    seen = torsion @ torsion - noise @ noise  # noise of the torsion would make it softer
+    if seen <= 0.0:
+        return None
+    stiffness, by_inertia = torque @ torsion / seen, motor @ torsion / seen
+    by_noise = _NOISE_SD * stiffness * (noise @ noise) / seen
+    return (float(stiffness), float(np.sqrt(error ** 2 + (by_inertia * sd) ** 2 + by_noise ** 2)),
+            lambda other: float(rms(torque - other * torsion)))
+
+
+def _motor_rows(recordings, joint):
+    """
+    Return torque, columns of the motor's equation, blocks of time, and noise; None of too few.
+
+    Columns are of motor inertia, stiffness, damping, a constant, and the motor's own friction;
+    the noise is one like that of the torsion.
+    """
+    drive, rng = held_torque(joint), np.random.default_rng(joint)
+
+    def signals(one):
+        sides = [one.q_motor[:, joint], one.q_link[:, joint]]
+        noise = np.hypot(*map(noise_of, sides)) * rng.standard_normal(len(one.time))
+        return sides, [drive(one), noise]
+    parts = [np.stack([torque.value, motor.second, motor.value - link.value,
+                       motor.first - link.first, np.ones(len(block)), link.first,
+                       np.sign(link.first), block, noise.value])
+             for (motor, link, torque, noise), block in filtered(recordings, signals)]
+    if not parts or sum(part.shape[1] for part in parts) < _FEWEST:
+        return None
+    table = np.concatenate(parts, axis=1)
+    return table[0], table[1:7].T, table[7].astype(int), table[8]

@@ -10,11 +10,14 @@ fitted as if links and springs were exact takes the difference for its own.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import rms
+from gms_flex_control.identification.arm_fit import two_sided
 from gms_flex_control.identification.arm_regression import ArmRegression, driven_arm
 from gms_flex_control.identification.assumed_robot import only_joints
+from gms_flex_control.identification.axis_fit import fit_stiffness
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     base_of,
@@ -29,20 +32,41 @@ from gms_flex_control.params.robot import known_to, RobotParams
 import numpy as np
 
 _DIFFERENT = 12.0   # independent errors along recordings: motion repeats, and what a model lacks
+_TORQUE_SD = 0.01   # of the scale of torques that are given in N m
 _LEAST_SD = 1e-4    # of a base parameter, as of a body of the whole mass: one of 0 has none
 _SHOWN = 0.9        # of the torque that links and friction leave, where links are as described:
 #                     described rightly they leave 0.97 and more, 1 % off 0.85 and less
+_BEYOND = 1.0       # for how long the first and the last torque act outside a recording [s]
 _NUMBERS = ('mass', 'com', 'inertia', 'motor_inertia', 'stiffness')
 
 
-def believed_arm(recordings: Sequence[Recording], robot: RobotParams, thetas: dict | None = None,
-                 beside: ArmParams | None = None) -> ArmParams:
+class Believed(NamedTuple):
+    """What friction is fitted beside."""
+
+    arm: ArmParams
+    delay: np.ndarray  # (n,) by which torques act later than they are stamped [s], as a rule 0
+
+    def in_time(self, recording: Recording) -> Recording:
+        """Return a recording whose torques, those of samples that ended, are where they acted."""
+        torque, time = recording.tau_motor.copy(), recording.time
+        for j in np.flatnonzero(self.delay):
+            known = np.flatnonzero(np.isfinite(torque[:, j]))
+            held = np.append(torque[known, j], torque[known[-1], j])
+            ends = np.concatenate([[time[0] - _BEYOND], time[known], [time[-1] + _BEYOND]])
+            impulse = np.append(0.0, np.cumsum(held * np.diff(ends)))
+            torque[known[1:], j] = np.diff(np.interp(
+                time[known] - self.delay[j], ends, impulse)) / np.diff(time[known])
+        return replace(recording, tau_motor=torque)
+
+
+def believed(recordings: Sequence[Recording], robot: RobotParams, thetas: dict | None = None,
+             beside: ArmParams | None = None) -> Believed:
     """
     Return the arm that recordings show, hardly farther from the described one than it is known.
 
-    That is the described one unless another explains the torque far better. Base parameters and
-    springs have priors by the `uncertainty` of the robot. ``thetas`` are
-    parameters of friction by joint, where it was fitted, beside an arm.
+    That is the described one unless another explains the torque far better, and so are times of
+    torques. Base parameters and springs have priors by the `uncertainty` of the robot. ``thetas``
+    are parameters of friction by joint, where it was fitted, beside an arm.
     """
     def friction(segment, joints, period):
         torque = np.zeros(segment.torque.shape)
@@ -55,26 +79,52 @@ def believed_arm(recordings: Sequence[Recording], robot: RobotParams, thetas: di
     known = friction if thetas else None
     if robot.arm.kind != 'decoupled':
         return _within_belief(recordings, robot, known)
-    arms = [_within_belief([one.of_joints([joint]) for one in recordings],
-                           only_joints(robot, [joint]), known) for joint in robot.joints]
-    return replace(robot.arm, **{name: np.concatenate([getattr(one, name) for one in arms])
-                                 for name in _NUMBERS})
+    alone = [_within_belief([one.of_joints([joint]) for one in recordings],
+                            only_joints(robot, [joint]), known) for joint in robot.joints]
+    return Believed(replace(robot.arm, **{
+        name: np.concatenate([getattr(one.arm, name) for one in alone]) for name in _NUMBERS}),
+        np.concatenate([one.delay for one in alone]))
 
 
 def _within_belief(recordings, robot, friction):
     arm, sides = driven_arm(recordings, robot)
     if not all(driven(one, sides).all() for one in recordings):
-        return robot.arm
+        return Believed(robot.arm, np.zeros(robot.n_joints))
     springs = np.array(sides) == 'spring'
     base = (base_of(arm, numbers=IN_PLANE) if robot.arm.frames is None
             else base_of(arm, recordings[0].coupling))
+    stiffness, sd = _stiffnesses(recordings, robot, springs)
+    robot = replace(robot, arm=replace(robot.arm, stiffness=stiffness))
     fit = _WithinBelief(recordings, robot, sides, arm, base, friction=friction,
-                        spring_sd=known_to(robot, 'stiffness') * springs)
+                        spring_sd=sd * springs)
     fit.solve()
-    if not fit.is_shown():
-        return robot.arm
-    return replace(fit.nearest[0], stiffness=np.where(
-        springs, robot.arm.stiffness / fit.scale, robot.arm.stiffness))
+    found = replace(fit.nearest[0], stiffness=np.where(springs, stiffness / fit.scale, stiffness))
+    return Believed(found if fit.is_shown() else robot.arm, fit.delays())
+
+
+def _stiffnesses(recordings, robot, springs):
+    """
+    Return stiffnesses [N m/rad] and their relative standard deviations, (n,) each.
+
+    As described, unless the torque of the motor shows another: the spring's own torque determines
+    links and friction but for a factor, that of its stiffness. A joint with effects is left out,
+    of which the motor's equation may have any.
+    """
+    stiffness, sd = robot.arm.stiffness.copy(), known_to(robot, 'stiffness')
+    inertia, inertia_sd = robot.arm.motor_inertia, known_to(robot, 'motor_inertia')
+    plain = [all(spec.joint != joint for spec in robot.effects) for joint in robot.joints]
+    for j in np.flatnonzero(springs & plain):
+        found = two_sided(recordings, j) and fit_stiffness(
+            recordings, j, inertia[j], inertia_sd[j] * inertia[j])
+        if not found or found[0] <= 0.0:
+            continue
+        measured, error, left = found
+        precision = np.array([sd[j] ** -2.0, ((error / measured) ** 2 + _TORQUE_SD ** 2) ** -1.0])
+        likely = stiffness[j] ** (precision[0] / precision.sum()) * measured ** (
+            precision[1] / precision.sum())
+        if left(likely) < _SHOWN * left(stiffness[j]):
+            stiffness[j], sd[j] = likely, precision.sum() ** -0.5
+    return stiffness, sd
 
 
 class _WithinBelief(ArmRegression):
@@ -107,11 +157,23 @@ class _WithinBelief(ArmRegression):
         described, self._at = self._unexplained(), found
         return bool(np.any(beside < _SHOWN * described))
 
-    def _unexplained(self):
-        """Return rms torques that neither links nor friction explain (n,) [N m]."""
-        rest = []
-        for j in range(len(self._at.scale)):
-            _, left, rows = self._left(j)
-            own = self._own(j, rows)
-            rest.append(rms(left - own @ np.linalg.lstsq(own, left, rcond=1e-10)[0]))
-        return np.array(rest)
+    def delays(self) -> np.ndarray:
+        """Return how much later than stamped torques act that motors make (n,) [s], 0 unless so."""
+        motors = np.array(self._sides) == 'motor'
+        late = self._unexplained() < _SHOWN * self._unexplained(in_time=True)
+        return np.array([self._coefficients(j)[0][-1] if one else 0.0
+                         for j, one in enumerate(motors & late)])
+
+    def _unexplained(self, in_time=False):
+        """Return rms torques (n,) that neither links nor friction explain [N m]."""
+        return np.array([rms(self._coefficients(j, in_time)[1])
+                         for j in range(len(self._at.scale))])
+
+    def _coefficients(self, j, in_time=False):
+        """Return those of a joint's own columns, the last by the delay, and what these leave."""
+        _, left, rows = self._left(j)
+        own = self._own(j, rows)
+        if in_time and self._sides[j] == 'motor':
+            own = own[:, :-1]
+        values = np.linalg.lstsq(own, left, rcond=1e-10)[0]
+        return values, left - own @ values

@@ -23,7 +23,7 @@ from gms_flex_control.identification.assumed_robot import (
     with_load_friction,
     with_torques,
 )
-from gms_flex_control.identification.believed_arm import believed_arm
+from gms_flex_control.identification.believed_arm import believed, Believed
 from gms_flex_control.identification.coordinates import friction_record, STATICS
 from gms_flex_control.identification.criterion import choose_fit, simple_theta
 from gms_flex_control.identification.friction_map import (
@@ -68,8 +68,7 @@ from gms_flex_control.identification.uncertainty import (
     shown_displacements,
     spread_of,
 )
-from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.robot import FrictionParams, RobotParams, StribeckParams
+from gms_flex_control.params.robot import FrictionParams, RobotParams, StribeckParams, widened
 import numpy as np
 
 _SAME_PERIOD = 0.01   # relative difference of sample periods of recordings fitted together
@@ -84,6 +83,7 @@ class Options:
     estimate: str = 'friction'   # 'all': inertia, gravity, stiffness, motor inertia as well
     blocks: tuple = CANDIDATES   # numbers of blocks to try
     force: bool = False          # go on in spite of faults in the data
+    widened: float = 1.0         # standard deviations of the arm's parameters, times the usual
 
 
 def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
@@ -122,7 +122,7 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
     with own_warnings() as caught, in_one_thread():  # joints have threads of their own
         say('checking the data')
         whole = options.estimate == 'all'
-        model = believed_model(robot, whole, options.force)
+        model = believed_model(widened(robot, options.widened), whole, options.force)
         recordings, holdouts = ([(with_torques(at_own_rate(one), robot), phases)
                                  for one, phases in several] for several in (recordings, holdouts))
         for recording, _ in (*recordings, *holdouts):
@@ -138,13 +138,14 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         fits = data.search(options, say)
         if not whole:
             say('links beside this friction')
-            data = Data(recordings, holdouts, model, arm=data.arm_beside(fits))
+            data = Data(recordings, holdouts, model, beside=data.beside(fits))
             fits = fit_beside(data.bundle, fits)
         fits = data.choose(fits, say)
         say('intervals and errors on data held out')
         joints, arm = data.results(fits)
     return Identification(
-        robot=data.with_friction(arm if whole else robot, fits),
+        robot=data.with_friction(
+            replace(arm, uncertainty=robot.uncertainty) if whole else robot, fits),
         believed=robot,
         joints=joints, sources=tuple(one.source for one, _ in recordings),
         holdouts=tuple(one.source for one, _ in holdouts),
@@ -176,10 +177,10 @@ class Data:
 
     ``given`` and ``holdouts`` are (Recording, phases), the robot is of
     assumed_robot.believed_model; ``whole`` says that the arm is estimated as well. Otherwise
-    ``arm`` is the one that friction is fitted beside, by default what the recordings show.
+    friction is fitted ``beside`` a Believed arm, by default what the recordings show.
     """
 
-    def __init__(self, given, holdouts, robot, whole=False, arm=None):
+    def __init__(self, given, holdouts, robot, whole=False, beside=None):
         half = half_count(given[0][0].of_joints(robot.joints), robot)  # of readings as they are
         recordings = [cleared(one.of_joints(robot.joints), robot)
                       for one, _ in (*given, *holdouts)]
@@ -189,7 +190,9 @@ class Data:
         self.described, self.sides = robot, drive_sides(recordings[0], robot)
         self._recordings = recordings[:len(given)]
         if not whole:
-            robot = replace(robot, arm=arm or believed_arm(self._recordings, robot))
+            beside = beside or believed(self._recordings, robot)
+            robot = replace(robot, arm=beside.arm)
+            recordings = [beside.in_time(one) for one in recordings]
         self._arm = robot.arm
         self.differences = _differences(recordings[:len(given)], robot, self.arm_fit)
         self.robot = rigid_where(robot, self.sides)
@@ -274,9 +277,9 @@ class Data:
                               for j in np.flatnonzero(found.prior_sd > 0.0)},
                 'loads': {r: one.body for r, one in found.loads.items()}}
 
-    def arm_beside(self, fits) -> ArmParams:
-        """Return the arm that recordings show with the friction of JointFits."""
-        return believed_arm(self._recordings, self.described, {
+    def beside(self, fits) -> Believed:
+        """Return what recordings show of the arm with the friction of JointFits."""
+        return believed(self._recordings, self.described, {
             self.described.joints[j]: fit.theta for j, fit in zip(
                 self.fitted, fits, strict=True)}, self._arm)
 

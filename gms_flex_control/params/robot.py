@@ -210,3 +210,11 @@ def known_to(robot: RobotParams, kind: str) -> np.ndarray:
     """Return the relative standard deviation of one of UNCERTAIN for each joint (n,)."""
     return np.array([robot.uncertainty.get((kind, joint), UNCERTAIN[kind].sd)
                      for joint in robot.joints])
+
+
+def widened(robot: RobotParams, times: float) -> RobotParams:
+    """Return a robot whose parameters are known ``times`` as badly."""
+    known = {(kind, joint): sd for kind in KINDS
+             for joint, sd in zip(robot.joints, known_to(robot, kind), strict=True)}
+    return replace(robot, uncertainty={
+        key: times * sd for key, sd in {**known, **robot.uncertainty}.items()})
