@@ -62,9 +62,10 @@ def test_friction_is_that_of_the_joint_where_torques_are_stamped_early_or_late(e
     recording = pendulum(early=early, pace=2.0)
     found = believed([recording], described())
     assert found.delay == pytest.approx([early], abs=2e-4)
-    friction = identify([recording], described(), options=Options(blocks=(1,))).robot.friction
-    for side in (friction.forward, friction.backward):
+    result = identify([recording], described(), options=Options(blocks=(1,)))
+    for side in (result.robot.friction.forward, result.robot.friction.backward):
         assert side.coulomb[0] == pytest.approx(COULOMB, rel=0.05)
+    assert f'{abs(1e3 * early):g} ms {"later" if early > 0.0 else "earlier"}' in result.warnings[0]
 
 
 def test_torques_in_time_stay_as_they_were_recorded():

@@ -7,7 +7,9 @@ from gms_flex_control.identification.coordinates import (
     Coordinates,
     MOST_BLOCKS,
     presliding_curve,
+    slipping,
     yield_quantiles,
+    yields_of,
 )
 from gms_flex_control.identification.uncertainty import curve_of, Spread
 from gms_flex_control.simulation.predictor import BLOCKS
@@ -102,3 +104,17 @@ def test_equal_blocks_keep_the_yields_of_equal_blocks(n_blocks):
     coordinates = Coordinates(n_blocks)
     theta, _ = coordinates.unpack(coordinates.pack(**STEADY, yields=yields))
     np.testing.assert_allclose(yield_quantiles(theta, n_blocks), yields[::-1], rtol=1e-12)
+
+
+def test_without_blocks_that_never_slip_presliding_is_the_same_and_levels_are_those_of_the_rest():
+    yields = np.array([1e-3, 3e-3, 9e-3, 5e4])
+    coordinates = Coordinates(4)
+    theta = coordinates.parameters(coordinates.pack(
+        [0.8, 0.9], [0.6, 0.7], [0.1, 0.1], [0.01, 0.02], 3.0, yields))
+    found = slipping(theta, reach=1.0)
+    np.testing.assert_allclose(found[[0, 1, 4, 5]], 0.75 * theta[[0, 1, 4, 5]], rtol=1e-12)
+    displacement = np.linspace(0.0, 1.0, 400)
+    np.testing.assert_allclose(presliding_curve(found, displacement),
+                               presliding_curve(theta, displacement), atol=1e-4)
+    np.testing.assert_allclose(yields_of(found)[0], yields[:3], rtol=1e-12)
+    assert slipping(theta, reach=1e5) is theta

@@ -37,7 +37,9 @@ _LEAST_SD = 1e-4    # of a base parameter, as of a body of the whole mass: one o
 _SHOWN = 0.9        # of the torque that links and friction leave, where links are as described:
 #                     described rightly they leave 0.97 and more, 1 % off 0.85 and less
 _BEYOND = 1.0       # for how long the first and the last torque act outside a recording [s]
-_NUMBERS = ('mass', 'com', 'inertia', 'motor_inertia', 'stiffness')
+_OF_LINKS = ('mass', 'com', 'inertia', 'motor_inertia')
+_NUMBERS = (*_OF_LINKS, 'stiffness')
+_WORTH_WORDS = 0.005  # of a stiffness
 
 
 class Believed(NamedTuple):
@@ -57,6 +59,24 @@ class Believed(NamedTuple):
             torque[known[1:], j] = np.diff(np.interp(
                 time[known] - self.delay[j], ends, impulse)) / np.diff(time[known])
         return replace(recording, tau_motor=torque)
+
+    def words(self, robot: RobotParams) -> str:
+        """Return a sentence that says what is other than described, '' where nothing is."""
+        told, arm = [], robot.arm
+        for j, joint in enumerate(robot.joints):
+            stiffer = 0.0 if arm.rigid[j] else self.arm.stiffness[j] / arm.stiffness[j] - 1.0
+            if abs(stiffer) > _WORTH_WORDS:
+                told.append(f'a spring of {joint} that is {abs(100 * stiffer):.2g} % '
+                            f'{"stiffer" if stiffer > 0.0 else "softer"}')
+            if self.delay[j]:
+                told.append(f'torques of {joint} that act {abs(1e3 * self.delay[j]):.2g} ms '
+                            f'{"later" if self.delay[j] > 0.0 else "earlier"} than they are '
+                            'stamped')
+        if any(np.any(getattr(self.arm, name) != getattr(arm, name)) for name in _OF_LINKS):
+            told.append('links other than described')
+        return (f'these recordings show {" and ".join(told)}: friction is fitted beside that, the '
+                'robot file stays as it is (--estimate all finds the arm, discrepancy names the '
+                'cause)') if told else ''
 
 
 def believed(recordings: Sequence[Recording], robot: RobotParams, thetas: dict | None = None,

@@ -143,6 +143,27 @@ def yields_of(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return weight[used] * theta[STATICS].mean() / np.maximum(stiffness[used], 1e-300), weight[used]
 
 
+def slipping(theta: np.ndarray, reach: float) -> np.ndarray:
+    """
+    Return parameters of a joint without the blocks that never slip within ``reach`` [rad].
+
+    They carry no friction, though what they are loaded with at first may pose as a torque for ever;
+    the levels are those that the others have together.
+    """
+    yields, _ = yields_of(theta)
+    stiffness, weight = theta[BLOCKS:BLOCKS + 2 * MOST_BLOCKS].reshape(2, MOST_BLOCKS)
+    kept = np.zeros(MOST_BLOCKS, dtype=bool)
+    kept[weight > 0.0] = yields < reach
+    share = weight[kept].sum()
+    if not kept.any() or kept.sum() == len(yields):
+        return theta
+    out = theta.copy()
+    out[[STATIC, COULOMB, PER_DIRECTION + STATIC, PER_DIRECTION + COULOMB]] *= share
+    out[BLOCKS:BLOCKS + 2 * MOST_BLOCKS] = np.concatenate(
+        [np.where(kept, stiffness, 0.0), np.where(kept, weight / share, 0.0)])
+    return out
+
+
 def yield_quantiles(theta: np.ndarray, n_blocks: int) -> np.ndarray:
     """Return increasing yields [rad] of N equal blocks that make the same presliding curve."""
     yields, weight = yields_of(theta)

@@ -138,8 +138,11 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         fits = data.search(options, say)
         if not whole:
             say('links beside this friction')
-            data = Data(recordings, holdouts, model, beside=data.beside(fits))
+            beside = data.beside(fits)
+            data = Data(recordings, holdouts, model, beside=beside)
             fits = fit_beside(data.bundle, fits)
+            if words := beside.words(model):
+                warnings.warn(words, stacklevel=2)
         fits = data.choose(fits, say)
         say('intervals and errors on data held out')
         joints, arm = data.results(fits)

@@ -26,6 +26,7 @@ from gms_flex_control.identification.coordinates import (
     equal_blocks,
     MOST_BLOCKS,
     N_STEADY,
+    slipping,
 )
 from gms_flex_control.identification.friction_map import Start
 from gms_flex_control.identification.least_squares import (
@@ -36,6 +37,7 @@ from gms_flex_control.identification.least_squares import (
     total_cost,
 )
 from gms_flex_control.identification.objective import Bundle, coarser, Objective, train
+from gms_flex_control.identification.segments import travel
 from gms_flex_control.identification.selection import CANDIDATES, fit_again, fit_joint, JointFit
 from gms_flex_control.identification.uncertainty import widening
 import numpy as np
@@ -46,6 +48,7 @@ COARSE = 4e-3         # sample that is fine enough to find the way [s]
 LEVELS = ((8e-3, 0.5), (4e-3, 0.5), (2e-3, 0.5), (2e-3, 1.0))
 GAIN = 1.02           # of the cost, that makes it worth to go on
 KEPT = 4              # ends with coarse samples that fine ones begin from
+_TORQUE_FITS = 2      # the second with blocks in the place of those that never slip
 _BESIDE = 2           # turns of joints that act on each other
 _SPREAD_SHARPNESS = (3.0, 1.0)
 _SOFT = 0.5           # of the observer's bandwidth: another that is right as well
@@ -130,10 +133,16 @@ def _by_torque(objective, bundle, theta, step):
 
     Motion that was measured moves all joints here, whatever friction the others are taken to have.
     """
-    coordinates, free = equal_blocks(theta, MOST_BLOCKS)
     error = TorqueError(objective, bundle, train(bundle.period), step)
-    return coordinates.parameters(
-        fit_torque(error, coordinates, free, prior_of(coordinates, free)))
+    reach = travel(bundle.segments, objective.joint)
+    for _ in range(_TORQUE_FITS):
+        coordinates, free = equal_blocks(theta, MOST_BLOCKS)
+        found = coordinates.parameters(
+            fit_torque(error, coordinates, free, prior_of(coordinates, free)))
+        theta = slipping(found, reach)
+        if theta is found:
+            break
+    return theta
 
 
 def _better(pool, bundle, several):
