@@ -156,7 +156,8 @@ def test_a_fresh_command_acts_and_ends(plant):
     end = time.monotonic() + PATIENCE
     while plant.states[-1].effort[2] != pytest.approx(0.04):
         assert time.monotonic() < end, plant.plant.printed()
-        now = stamp_of(plant.more(plant.states, 1)[0])
+        plant.more(plant.states, 1)
+        now = stamp_of(plant.states[-1])  # on a busy machine several have come
         plant.commands.publish(array_message([0.04, 0.0], f'stamp:{now}', 'source:test'))
     rest(plant)
 
