@@ -145,7 +145,7 @@ def test_a_stale_command_is_never_acted_on(plant):
     for _ in range(20):
         now = stamp_of(plant.more(plant.states, 1)[0])
         for age in (105_000_000, 10**9, now, -60 * 10**9):
-            plant.commands.publish(array_message([0.5, 0.5], f'stamp:{now - age}', 'source:old'))
+            plant.commands.publish(array_message([0.5, 0.5], f'stamp:{now - age}', 'source:test'))
     plant.more(plant.states, 5)
     assert not any(any(state.effort[2:]) for state in plant.states[begin:])
 
