@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.identification.arm_fit import with_axis
 from gms_flex_control.identification.assumed_robot import rigid_joints
-from gms_flex_control.identification.believed_arm import believed, Believed
+from gms_flex_control.identification.believed_arm import Believed, believed
 from gms_flex_control.identification.identify import identify, Options
 from identified_axis import axis, experiment, JOINT, pendulum
 import numpy as np

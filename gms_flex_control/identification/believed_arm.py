@@ -178,7 +178,7 @@ class _WithinBelief(ArmRegression):
         return bool(np.any(beside < _SHOWN * described))
 
     def delays(self) -> np.ndarray:
-        """Return how much later than stamped torques act that motors make (n,) [s], 0 unless so."""
+        """Return how much later than stamped torques of motors act (n,) [s], 0 unless shown."""
         motors = np.array(self._sides) == 'motor'
         late = self._unexplained() < _SHOWN * self._unexplained(in_time=True)
         return np.array([self._coefficients(j)[0][-1] if one else 0.0

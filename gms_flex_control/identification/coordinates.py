@@ -147,7 +147,7 @@ def slipping(theta: np.ndarray, reach: float) -> np.ndarray:
     """
     Return parameters of a joint without the blocks that never slip within ``reach`` [rad].
 
-    They carry no friction, though what they are loaded with at first may pose as a torque for ever;
+    They carry no friction, though what they are loaded with at first may pose as a torque;
     the levels are those that the others have together.
     """
     yields, _ = yields_of(theta)

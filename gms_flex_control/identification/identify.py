@@ -23,7 +23,7 @@ from gms_flex_control.identification.assumed_robot import (
     with_load_friction,
     with_torques,
 )
-from gms_flex_control.identification.believed_arm import believed, Believed
+from gms_flex_control.identification.believed_arm import Believed, believed
 from gms_flex_control.identification.coordinates import friction_record, STATICS
 from gms_flex_control.identification.criterion import choose_fit, simple_theta
 from gms_flex_control.identification.friction_map import (

@@ -214,7 +214,7 @@ def known_to(robot: RobotParams, kind: str) -> np.ndarray:
 
 def widened(robot: RobotParams, times: float) -> RobotParams:
     """Return a robot whose parameters are known ``times`` as badly."""
-    known = {(kind, joint): sd for kind in KINDS
+    known = {(kind, joint): sd for kind in UNCERTAIN
              for joint, sd in zip(robot.joints, known_to(robot, kind), strict=True)}
     return replace(robot, uncertainty={
         key: times * sd for key, sd in {**known, **robot.uncertainty}.items()})
