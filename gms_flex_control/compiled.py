@@ -126,7 +126,7 @@ def compiled_choice(choose) -> Callable:
 def compiled_effect(function) -> Callable:
     """Compile an effect's ``apply`` to a C function that kernels call by its address."""
     with _cached_in(_CACHE_FOLDER) as cache:
-        return numba.cfunc(EFFECT_SIGNATURE, cache=cache)(function)
+        return numba.cfunc(EFFECT_SIGNATURE, cache=cache, error_model='numpy')(function)
 
 
 @intrinsic

@@ -1,9 +1,12 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Kernels on disk, of arms with other numbers of joints and from other processes."""
 
+import ctypes
 import subprocess
 import sys
 
+from gms_flex_control.compiled import compiled_effect
+import numpy as np
 from processes import environment_of
 
 ONE_AFTER_ANOTHER = """
@@ -35,3 +38,14 @@ def test_kernels_cached_for_one_arm_serve_no_other(tmp_path):
             capture_output=True, timeout=300,
             env=environment_of(NUMBA_CACHE_DIR=str(tmp_path), MALLOC_CHECK_='3'))
         assert done.returncode == 0, f'{joints}: {done.stderr}'
+
+
+def test_an_effect_that_divides_by_zero_gives_infinity_as_kernels_do(capfd):
+    """A C function that raised would end early, with a traceback for each of a million calls."""
+    def apply(s, p, memory, dt):
+        s[0] = p[0] / p[1]
+
+    signals = (ctypes.c_double * 1)()
+    compiled_effect(apply).ctypes(signals, (ctypes.c_double * 2)(1.0, 0.0), signals, 1e-3)
+    assert signals[0] == np.inf
+    assert capfd.readouterr().err == ''

@@ -99,6 +99,13 @@ def test_friction_hysteresis_follows_masing_from_its_four_yields():
     assert hysteresis_along([0.0, 1.0])[1] == pytest.approx(HYSTERESIS[0])
 
 
+@pytest.mark.parametrize(('name', 'values'), [
+    ('friction_hysteresis', (0.1, 1e-323)), ('friction_backlash', (0.1, 0.0, 1e-323))])
+def test_a_reach_that_is_next_to_none_is_as_none(name, values):
+    """Where shares of it are zero, torque would be no number."""
+    assert not np.any(torque_along(name, values, np.linspace(0.0, 0.02, 50)))
+
+
 @pytest.mark.parametrize('seed', range(4))
 def test_friction_hysteresis_gives_back_no_more_than_it_took(seed):
     """Work along any cycle, once it repeats, is lost; before, stored energy is never below 0."""

@@ -15,6 +15,7 @@ from gms_flex_control.effects.base import (
     waves,
 )
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION, LINK_TORQUE, Q_LINK, SPRING
+from gms_flex_control.params.key import SMALLEST
 import numpy as np
 
 
@@ -191,7 +192,7 @@ class FrictionHysteresis(Term):
     def apply(s, p, memory, dt) -> None:
         moved, reach = (s[Q_LINK] - memory[0]) * memory[1], p[1]
         memory[0], memory[1] = s[Q_LINK], 1.0
-        if reach > 0.0:
+        if reach > SMALLEST:
             for i in range(2, 2 + _ELEMENTS):
                 memory[i] = min(max(memory[i] + moved / reach, -1.0), 1.0)
                 s[FRICTION] += p[0] / _ELEMENTS * memory[i]
@@ -239,6 +240,6 @@ class FrictionBacklash(Term):
         moved = (s[Q_LINK] - memory[0]) * memory[1]
         memory[0], memory[1] = s[Q_LINK], 1.0
         gap, reach = p[1], p[2]
-        if reach > 0.0:
+        if reach > SMALLEST:
             memory[2] = min(max(memory[2] + moved, -gap - reach), gap + reach)
             s[FRICTION] += p[0] / reach * (memory[2] - min(max(memory[2], -gap), gap))
