@@ -9,7 +9,7 @@ from gms_flex_control.identification.arm_fit import with_axis
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.believed_arm import Believed, believed
 from gms_flex_control.identification.identify import identify, Options
-from identified_axis import axis, experiment, JOINT, pendulum
+from identified_axis import axis, experiment, JOINT, part, pendulum
 import numpy as np
 import pytest
 
@@ -54,6 +54,19 @@ def test_the_torque_of_a_motor_shows_how_stiff_its_spring_is(sd, within):
     assert found.stiffness == pytest.approx(robot.arm.stiffness, rel=within)
     surely = replace(stiff, uncertainty={('stiffness', JOINT): 1e-4})
     assert believed([recording], surely).arm.stiffness == stiff.arm.stiffness
+
+
+def test_friction_beside_a_spring_that_is_stiffer_than_described_is_that_of_the_joint():
+    """With the friction found the links are looked at again: that is of the stiffness found."""
+    robot = axis(rigid=False)
+    soft = replace(robot, arm=replace(robot.arm, stiffness=0.92 * robot.arm.stiffness),
+                   uncertainty={('stiffness', JOINT): 0.1})
+    found = identify([part(experiment(rigid=False), 0.0, 60.0)], soft,
+                     options=Options(blocks=(4,)))
+    for side, true in ((found.robot.friction.forward, robot.friction.forward),
+                       (found.robot.friction.backward, robot.friction.backward)):
+        assert side.coulomb[0] == pytest.approx(true.coulomb[0], rel=0.01)
+    assert f'a spring of {JOINT} that is 8.' in found.warnings[0]
 
 
 @pytest.mark.parametrize('early', [-0.004, 0.005])

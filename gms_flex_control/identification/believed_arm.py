@@ -88,15 +88,8 @@ def believed(recordings: Sequence[Recording], robot: RobotParams, thetas: dict |
     torques. Base parameters and springs have priors by the `uncertainty` of the robot. ``thetas``
     are parameters of friction by joint, where it was fitted, beside an arm.
     """
-    def friction(segment, joints, period):
-        torque = np.zeros(segment.torque.shape)
-        for j, joint in enumerate(joints):
-            if joint in thetas:
-                k = robot.joints.index(joint)
-                scale = 1.0 if robot.arm.rigid[k] else robot.arm.stiffness[k] / beside.stiffness[k]
-                torque[:, j] = scale * friction_along(segment, j, thetas[joint], period)
-        return torque
-    known = friction if thetas else None
+    known = {joint: (theta, beside.stiffness[robot.joints.index(joint)])
+             for joint, theta in (thetas or {}).items()}
     if robot.arm.kind != 'decoupled':
         return _within_belief(recordings, robot, known)
     alone = [_within_belief([one.of_joints([joint]) for one in recordings],
@@ -106,7 +99,7 @@ def believed(recordings: Sequence[Recording], robot: RobotParams, thetas: dict |
         np.concatenate([one.delay for one in alone]))
 
 
-def _within_belief(recordings, robot, friction):
+def _within_belief(recordings, robot, known):
     arm, sides = driven_arm(recordings, robot)
     if not all(driven(one, sides).all() for one in recordings):
         return Believed(robot.arm, np.zeros(robot.n_joints))
@@ -115,8 +108,17 @@ def _within_belief(recordings, robot, friction):
             else base_of(arm, recordings[0].coupling))
     stiffness, sd = _stiffnesses(recordings, robot, springs)
     robot = replace(robot, arm=replace(robot.arm, stiffness=stiffness))
-    fit = _WithinBelief(recordings, robot, sides, arm, base, friction=friction,
-                        spring_sd=sd * springs)
+
+    def friction(segment, joints, period):
+        torque = np.zeros(segment.torque.shape)
+        for j, joint in enumerate(joints):
+            if joint in known:
+                theta, fitted_with = known[joint]
+                scale = stiffness[j] / fitted_with if springs[j] else 1.0
+                torque[:, j] = scale * friction_along(segment, j, theta, period)
+        return torque
+    fit = _WithinBelief(recordings, robot, sides, arm, base, spring_sd=sd * springs,
+                        friction=friction if known else None)
     fit.solve()
     found = replace(fit.nearest[0], stiffness=np.where(springs, stiffness / fit.scale, stiffness))
     return Believed(found if fit.is_shown() else robot.arm, fit.delays())
