@@ -1,6 +1,4 @@
-# Copyright 2026 The gms_flex_control authors
-#
-# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Multi-start leaves wrong local minima of a rough cost; coarse looks at the data come first."""
 
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
