@@ -351,12 +351,12 @@ def fit_motor(recordings: Sequence, joint: int) -> MotorFit | None:
 
 
 def fit_stiffness(recordings: Sequence, joint: int, inertia: float,
-                  sd: float) -> tuple[float, float, np.ndarray] | None:
+                  sd: float) -> tuple[float, float, Callable] | None:
     """
-    Return stiffness [N m/rad] by the motor's equation, its error, and what two others leave.
+    Return stiffness by the motor's equation [N m/rad], its error, and what any stiffness leaves.
 
-    The motor's ``inertia`` is known to ``sd`` [kg m^2]. The last is a function: stiffness -> rms
-    torque that is left with it [N m]. None where too little was measured.
+    The last is a function: stiffness -> rms torque [N m]. The motor's ``inertia`` is known to
+    ``sd`` [kg m^2]. None where too little was measured.
     """
     rows = _motor_rows(recordings, joint)
     if rows is None:

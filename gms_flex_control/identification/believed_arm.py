@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import rms
+from gms_flex_control.data.signal_analysis import means_held, rms
 from gms_flex_control.identification.arm_fit import two_sided
 from gms_flex_control.identification.arm_regression import ArmRegression, driven_arm
 from gms_flex_control.identification.assumed_robot import only_joints
@@ -53,28 +53,26 @@ class Believed(NamedTuple):
             known = np.flatnonzero(np.isfinite(torque[:, j]))
             held = np.append(torque[known, j], torque[known[-1], j])
             ends = np.concatenate([[time[0] - _BEYOND], time[known], [time[-1] + _BEYOND]])
-            impulse = np.append(0.0, np.cumsum(held * np.diff(ends)))
-            torque[known[1:], j] = np.diff(np.interp(
-                time[known] - self.delay[j], ends, impulse)) / np.diff(time[known])
+            torque[known[1:], j] = means_held(held, ends, time[known] - self.delay[j])
         return replace(recording, tau_motor=torque)
 
     def words(self, robot: RobotParams) -> str:
         """Return a sentence that says what is other than described, '' where nothing is."""
-        told, arm = [], robot.arm
+        shown, arm = [], robot.arm
         for j, joint in enumerate(robot.joints):
             stiffer = 0.0 if arm.rigid[j] else self.arm.stiffness[j] / arm.stiffness[j] - 1.0
             if abs(stiffer) > _WORTH_WORDS:
-                told.append(f'a spring of {joint} that is {abs(100 * stiffer):.2g} % '
-                            f'{"stiffer" if stiffer > 0.0 else "softer"}')
+                shown.append(f'a spring of {joint} that is {abs(100 * stiffer):.2g} % '
+                             f'{"stiffer" if stiffer > 0.0 else "softer"}')
             if self.delay[j]:
-                told.append(f'torques of {joint} that act {abs(1e3 * self.delay[j]):.2g} ms '
-                            f'{"later" if self.delay[j] > 0.0 else "earlier"} than they are '
-                            'stamped')
+                shown.append(f'torques of {joint} that act {abs(1e3 * self.delay[j]):.2g} ms '
+                             f'{"later" if self.delay[j] > 0.0 else "earlier"} than they are '
+                             'stamped')
         if any(np.any(getattr(self.arm, name) != getattr(arm, name)) for name in _OF_LINKS):
-            told.append('links other than described')
-        return (f'these recordings show {" and ".join(told)}: friction is fitted beside that, the '
-                'robot file stays as it is (--estimate all finds the arm, discrepancy names the '
-                'cause)') if told else ''
+            shown.append('links other than described')
+        return (f'these recordings show {" and ".join(shown)}: friction is fitted beside that, '
+                'the robot file stays as it is (--estimate all finds the arm, discrepancy names '
+                'the cause)') if shown else ''
 
 
 def believed(recordings: Sequence[Recording], robot: RobotParams, thetas: dict | None = None,
@@ -179,21 +177,22 @@ class _WithinBelief(ArmRegression):
 
     def delays(self) -> np.ndarray:
         """Return how much later than stamped torques of motors act (n,) [s], 0 unless shown."""
-        motors = np.array(self._sides) == 'motor'
-        late = self._unexplained() < _SHOWN * self._unexplained(in_time=True)
-        return np.array([self._coefficients(j)[0][-1] if one else 0.0
-                         for j, one in enumerate(motors & late)])
+        late = np.zeros(len(self._sides))
+        for j in np.flatnonzero(np.array(self._sides) == 'motor'):
+            values, left = self._coefficients(j)
+            if rms(left) < _SHOWN * rms(self._coefficients(j, in_time=True)[1]):
+                late[j] = values[-1]
+        return late
 
-    def _unexplained(self, in_time=False):
+    def _unexplained(self):
         """Return rms torques (n,) that neither links nor friction explain [N m]."""
-        return np.array([rms(self._coefficients(j, in_time)[1])
-                         for j in range(len(self._at.scale))])
+        return np.array([rms(self._coefficients(j)[1]) for j in range(len(self._sides))])
 
     def _coefficients(self, j, in_time=False):
         """Return those of a joint's own columns, the last by the delay, and what these leave."""
         _, left, rows = self._left(j)
         own = self._own(j, rows)
-        if in_time and self._sides[j] == 'motor':
+        if in_time:  # without the delay of a motor's torque
             own = own[:, :-1]
         values = np.linalg.lstsq(own, left, rcond=1e-10)[0]
         return values, left - own @ values
