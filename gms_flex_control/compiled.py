@@ -75,6 +75,7 @@ FunctionIdentity._unique_ids = count(int.from_bytes(os.urandom(6), 'big'))
 
 _CACHE_FOLDER = cache_folder()
 _ONE_AT_A_TIME = RLock()  # numba looks at one setting for all threads
+_EFFECTS = {}             # C functions of effects by their Python functions
 
 
 @contextmanager
@@ -124,9 +125,17 @@ def compiled_choice(choose) -> Callable:
 
 
 def compiled_effect(function) -> Callable:
-    """Compile an effect's ``apply`` to a C function that kernels call by its address."""
-    with _cached_in(_CACHE_FOLDER) as cache:
-        return numba.cfunc(EFFECT_SIGNATURE, cache=cache, error_model='numpy')(function)
+    """
+    Compile an effect's ``apply`` to a C function that kernels call by its address.
+
+    Of one ``apply`` all threads get the same: its address says which effect acts.
+    """
+    if function not in _EFFECTS:
+        with _cached_in(_CACHE_FOLDER) as cache:
+            if function not in _EFFECTS:
+                _EFFECTS[function] = numba.cfunc(
+                    EFFECT_SIGNATURE, cache=cache, error_model='numpy')(function)
+    return _EFFECTS[function]
 
 
 @intrinsic

@@ -1,11 +1,14 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Kernels on disk, of arms with other numbers of joints and from other processes."""
 
+from concurrent.futures import ThreadPoolExecutor
 import ctypes
 import subprocess
 import sys
+from threading import Barrier
 
 from gms_flex_control.compiled import compiled_effect
+from gms_flex_control.effects.registry import find
 import numpy as np
 from processes import environment_of
 
@@ -49,3 +52,21 @@ def test_an_effect_that_divides_by_zero_gives_infinity_as_kernels_do(capfd):
     compiled_effect(apply).ctypes(signals, (ctypes.c_double * 2)(1.0, 0.0), signals, 1e-3)
     assert signals[0] == np.inf
     assert capfd.readouterr().err == ''
+
+
+def test_an_effect_has_one_address_in_all_threads():
+    """By which a model is asked whether it holds that effect: of two, one would not be found."""
+    threads = 4
+    together = Barrier(threads)
+
+    class Drag(find('viscous_error')):
+        @staticmethod
+        def apply(s, p, memory, dt):
+            s[0] += p[0] * s[1]
+
+    def address(_):
+        together.wait(timeout=10.0)
+        return Drag.compiled().address
+
+    with ThreadPoolExecutor(threads) as pool:
+        assert len(set(pool.map(address, range(threads)))) == 1

@@ -11,7 +11,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cache
 import math
 from typing import NamedTuple
 
@@ -176,7 +175,6 @@ class Term(Effect):
         """
 
     @classmethod
-    @cache
     def compiled(cls) -> object:
         """Return the numba C function of ``apply``; compiled once, when first used."""
         return compiled_effect(cls.apply)
