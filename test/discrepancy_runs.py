@@ -10,7 +10,7 @@ from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
 from gms_flex_control.discrepancy.samples import make_samples
-from gms_flex_control.params.robot import FrictionParams, StribeckParams
+from gms_flex_control.params.robot import FrictionParams, StribeckParams, widened
 import numpy as np
 
 NONE = StribeckParams(static=[1e-14], coulomb=[1e-14], velocity=[1.0], viscous=[0.0])
@@ -37,9 +37,9 @@ def rigid_motion(inertia=0.02, motor_inertia=0.0):
         np.cos(time)[:, None], np.zeros(200), True, 'sine'))
 
 
-def likelihood_of(case, **options):
-    """Return the Likelihood of a case as its user believes the robot."""
-    return Likelihood([motion_of(case.recording, case.nominal)], case.nominal, **options)
+def likelihood_of(case, times=1.0):
+    """Return the Likelihood of a case as its user believes the robot, known so badly."""
+    return Likelihood([motion_of(case.recording, case.nominal)], widened(case.nominal, times))
 
 
 def as_believed(likelihood):

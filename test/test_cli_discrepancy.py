@@ -89,7 +89,7 @@ def test_the_closed_loop_of_the_other_motion_comes_closer(case, report, folder):
 def test_the_model_written_has_the_effect_and_loads(case, folder, report):
     robot = load_robot(folder / 'out' / 'robot.yaml')
     spec, = robot.effects
-    assert (spec.name, spec.joint) == ('backlash', case.truth.effects[0].joint)
+    assert spec.key == ('backlash', case.truth.effects[0].joint)
     assert spec.values[0] == report['findings'][0]['parameters']['half_gap']['value']
     knob = next(one for one in report['retuned'] if one['parameter'] == 'motor_inertia')
     j = robot.joints.index(knob['joint'])

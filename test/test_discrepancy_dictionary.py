@@ -9,12 +9,11 @@ from discrepancy_runs import driven_motion, likelihood_of, retuned_of, rigid_mot
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of, may_join
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import scales_of
-from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR
+from gms_flex_control.discrepancy.nuisance import nuisances_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
 
@@ -85,7 +84,7 @@ def test_a_rigid_axis_has_guesses_of_what_can_be_there():
                                 'input_delay'}  # what is measured has passed them
     robot, _ = rigid_motion(0.0, motor_inertia=0.02)  # all of its inertia stands at the motor
     assert looked_for(robot, motion) - measured == {'motor_inertia_error'}
-    nuisances = nuisances_of(plant.constants_of(robot), PRIOR)
+    nuisances = nuisances_of(robot)
     assert {nuisance.name for nuisance in nuisances} >= {'motor_inertia', 'level'}
     # it would fall below Coulomb friction
     assert 'static' not in {nuisance.name for nuisance in nuisances}
@@ -136,6 +135,6 @@ def test_the_first_scan_gains_nearly_what_the_fit_does(effect):
     model, columns = retuned_of(likelihood, PLAUSIBLE)
     ranked = Dictionary(likelihood, model).ranked(model, columns, PLAUSIBLE)
     assert [one.gain for one in ranked] == sorted((one.gain for one in ranked), reverse=True)
-    first, = (one for one in ranked if (one.spec.name, one.spec.joint) == (true.name, true.joint))
+    first, = (one for one in ranked if one.key == true.key)
     assert first.gain > 0.9 * ranked[0].gain
     assert first.spec.values[0] == pytest.approx(true.values[0], rel=0.2)

@@ -17,7 +17,7 @@ from gms_flex_control.discrepancy.evidence import (
 from gms_flex_control.discrepancy.fitting import extended
 from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums, with_effect
 from gms_flex_control.effects.base import Scales, Travel
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, widened
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -108,8 +108,8 @@ def test_a_robot_of_which_all_torques_are_believed_less_explains_nothing(robot, 
     """
     hidden = with_effect(robot, EffectSpec(name='position_friction', joint='joint2',
                                            values=(0.35, 3.0, 0.0)))
-    likelihood = Likelihood([driven_motion(hidden, gains, seed=1, duration=6.0)], robot,
-                            widened=100.0)
+    likelihood = Likelihood([driven_motion(hidden, gains, seed=1, duration=6.0)],
+                            widened(robot, 100.0))
     likelihood = likelihood.with_noise(np.full((1, 4), noise))
     less = np.array([-0.6 * (one.name in ('inertia', 'stiffness', 'motor_inertia', 'level',
                                           'viscous', 'blocks'))
@@ -142,7 +142,7 @@ def test_a_saturation_takes_all_that_is_beyond_its_limit(robot, gains):
 
 def state(evidence, *effects):
     """Return a State of effects (name, joint) with 2 log evidence."""
-    specs = tuple(SimpleNamespace(name=name, joint=joint) for name, joint in effects)
+    specs = tuple(EffectSpec(name=name, joint=joint, values=()) for name, joint in effects)
     return State(SimpleNamespace(robot=SimpleNamespace(effects=specs)), None, None, evidence)
 
 

@@ -57,7 +57,7 @@ def test_effects_whose_place_one_function_takes_explain_it_together(left):
 def test_what_another_effect_explains_is_no_rival():
     """Of two effects one may be found: the other gains as much in its place as beside it."""
     case = make_case('double', 2, duration=16.0)
-    hidden = {(spec.name, spec.joint) for spec in case.truth.effects}
+    hidden = {spec.key for spec in case.truth.effects}
     result = find_discrepancy([case.recording], case.nominal, Options(most=1))
     found, = (*result.findings, *result.minor)
     (name, joint), = hidden - {found.key}

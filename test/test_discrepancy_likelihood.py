@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, driven_motion, likelihood_of
-from gms_flex_control.discrepancy.fitting import fit
+from gms_flex_control.discrepancy.fitting import fit, normal_equations
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.null_simulation import is_followed, null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
@@ -81,7 +81,7 @@ def test_priors_pull_known_parameters_by_their_standard_deviation(likelihood):
         x = 2.0 * likelihood.sd * (np.arange(len(likelihood.sd)) == i)
         sums = likelihood.sums(model.rows, model.robot, x)
         assert sums.cost - likelihood.misfit(sums.groups) == pytest.approx(4.0)
-    wide = likelihood_of(make_case('clean', 3, duration=3.0), widened=3.0)
+    wide = likelihood_of(make_case('clean', 3, duration=3.0), 3.0)
     usual = likelihood_of(make_case('clean', 3, duration=3.0))
     np.testing.assert_allclose(wide.sd, 3.0 * usual.sd)
 
@@ -92,9 +92,7 @@ def test_slopes_are_the_derivative_of_the_cost():
     x = 0.5 * likelihood.sd * np.random.default_rng(2).uniform(-1.0, 1.0, len(likelihood.sd))
     model = likelihood.fitted(likelihood.robot, x)
     columns = likelihood.columns(model)
-    noise = likelihood.encoder_noise
-    slopes = likelihood.slopes(noise.known(columns), noise.columns(model.robot, ()), model,
-                               likelihood.weights(model.sums.groups))
+    (slopes, *_), = normal_equations(likelihood, model, columns, (), [slice(None)])
     slopes -= x / likelihood.sd ** 2
     reported = []
     for i in range(len(x)):

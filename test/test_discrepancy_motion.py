@@ -103,6 +103,6 @@ def test_uneven_samples_with_true_stamps_are_no_effect(plant_kind, effects):
     result = find_discrepancy([recording], nominal, Options(most=2))
     assert result.verdict == (FOUND if effects else COMPLETE), result.words
     assert [(one.effect, one.joint) for one in result.named] == [
-        (spec.name, spec.joint) for spec in effects]
+        spec.key for spec in effects]
     for one, spec in zip(result.named, effects, strict=True):
         assert one.values[0].value == pytest.approx(spec.values[0], rel=0.05)

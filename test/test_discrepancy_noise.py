@@ -58,7 +58,7 @@ def test_an_effect_is_named_beside_noise():
     result = find_discrepancy([case.recording], case.nominal, Options(most=2))
     true, = case.truth.effects
     first = result.named[0]
-    assert (first.effect, first.joint) == (true.name, true.joint)
+    assert first.key == true.key
     assert first.values[0].value == pytest.approx(true.values[0], rel=0.15)
     # what it explains of data held out [N m], joint by joint, against what matters in practice
     explained = np.sqrt(np.maximum(result.gap.retuned ** 2 - result.gap.after ** 2, 0.0))

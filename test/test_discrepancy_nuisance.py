@@ -3,7 +3,7 @@
 
 from dataclasses import replace
 
-from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR, tuned, with_nuisances
+from gms_flex_control.discrepancy.nuisance import nuisances_of, tuned, with_nuisances
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -40,7 +40,7 @@ def test_a_robot_with_nuisances_is_the_record_with_nuisances(ideal_robot, arm):
                                                           strict=True)]
     robot = replace(ideal_robot, arm=changed, motors=tuple(motors))
     base = plant.constants_of(robot)
-    nuisances = nuisances_of(base, PRIOR)
+    nuisances = nuisances_of(robot)
     sd, rng = np.array([nuisance.sd for nuisance in nuisances]), np.random.default_rng(0)
     for x in (np.zeros(len(sd)), sd * rng.uniform(-1.0, 1.0, len(sd))):
         asked = flat(tuned(base, nuisances, x))
@@ -70,7 +70,7 @@ def test_nuisances_scale_a_link_beside_what_effects_add(ideal_robot, effect, kin
     arm = replace(ideal_robot.arm, kind=kind, mass=mass, gravity=[0.0, -9.0])
     robot = replace(ideal_robot, arm=arm, effects=(
         EffectSpec(name=name, joint=joint, values=values),))
-    nuisances = nuisances_of(plant.constants_of(robot), PRIOR)
+    nuisances = nuisances_of(robot)
     for seed in range(5):
         x = np.random.default_rng(seed).uniform(-0.04, 0.04, len(nuisances))
         assert_written_as_fitted(robot, nuisances, x)
@@ -82,7 +82,7 @@ def test_a_point_mass_and_a_known_tilt_are_written_as_they_are_fitted(ideal_robo
     known = (EffectSpec(name='gravity_tilt', joint='arm', values=(tilt, -1.5)),) if tilt else ()
     robot = replace(ideal_robot, effects=known, arm=replace(
         ideal_robot.arm, inertia=[0.0, 0.0], gravity=[0.0, -9.0 * (not tilt)]))
-    nuisances = nuisances_of(plant.constants_of(robot), PRIOR)
+    nuisances = nuisances_of(robot)
     x = np.array([{'gravity': 0.03, 'inertia': -0.02}.get(nuisance.name, 0.0)
                   for nuisance in nuisances])
     assert_written_as_fitted(robot, nuisances, x)

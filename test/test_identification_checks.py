@@ -145,7 +145,7 @@ def test_a_drive_that_gives_but_a_part_of_what_is_asked_is_no_fault_of_the_data(
     """Its torque is clipped at 0.08 N m of up to 2.4 that are asked for."""
     case = make_case('single', 14, motion='polynomial', duration=20.0)
     clipped, = case.truth.effects
-    assert (clipped.name, clipped.joint) == ('actuator_saturation', 'joint2')
+    assert clipped.key == ('actuator_saturation', 'joint2')
     recording = case.held_out
     assert np.nanmax(np.abs(recording.tau_motor[:, 1])) > 20.0 * clipped.values[0]
     assert not [one for one in check(recording, case.nominal) if one.kind == 'torque_scale']

@@ -10,7 +10,7 @@ from bench.chain_matrices import matrices
 import core_runs
 from gms_flex_control import load_robot, read_plan, records, save_robot
 from gms_flex_control.cli.main import main
-from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR, tuned, with_nuisances
+from gms_flex_control.discrepancy.nuisance import nuisances_of, tuned, with_nuisances
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.table import with_changes
@@ -283,7 +283,7 @@ def test_a_robot_file_that_contradicts_its_urdf_is_refused(old, new, sentence, t
 def test_what_a_search_retunes_of_the_links_is_what_is_written(effects, tmp_path):
     robot = replace(load_robot(ARMS['light_arm']), effects=effects)
     base = plant.constants_of(robot)
-    nuisances = nuisances_of(base, PRIOR)
+    nuisances = nuisances_of(robot)
     x = np.random.default_rng(0).uniform(-0.04, 0.04, len(nuisances))
     save_robot(with_nuisances(robot, nuisances, x), tmp_path / 'robot.yaml')
     made = plant.constants_of(load_robot(tmp_path / 'robot.yaml')).chain

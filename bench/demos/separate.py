@@ -81,7 +81,7 @@ def _written(args, believed, plant, motion, bag):
     limits = load_limits([share_path() / 'config' / 'bridge.yaml'], known.joints)
     limits = replace(limits, torque=_TORQUE * limits.torque)
     gains = clipped(load_controller(controller_file(), known), limits)
-    return (frozenset((spec.name, spec.joint) for spec in robot.effects),
+    return (frozenset(spec.key for spec in robot.effects),
             Task(known, gains, limits, [bag], sets_of(args.effects, known), 1.0 / RATE))
 
 

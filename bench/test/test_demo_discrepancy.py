@@ -36,7 +36,7 @@ def test_what_was_hidden_is_named_and_the_gap_shrinks(outcome, report):
     found = report['discrepancy']['findings'][0]
     assert report['name_right'] and report['gap_shrank'] and report['seed'] == SEED
     assert len(list((outcome[0] / 'log').glob('*/*.log'))) == 12
-    assert (found['effect'], found['joint']) == (spec.name, spec.joint)
+    assert (found['effect'], found['joint']) == spec.key
     assert spec.name in drawable()
     gap = report['discrepancy']['gap']
     for before, after in (('retuned', 'after'), ('free_before', 'free_after')):

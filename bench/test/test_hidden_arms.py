@@ -87,7 +87,7 @@ def test_effects_that_are_parameters_change_the_robot():
     true = truth_of(believed, (
         Hidden(name='link_inertia_error', joint='joint3', values={'ratio': 0.2}),
         Hidden(name='torque_gain', joint='joint1', values={'gain_error': 0.1})))
-    assert [(one.name, one.joint) for one in true.effects] == [('torque_gain', 'joint1')]
+    assert [one.key for one in true.effects] == [('torque_gain', 'joint1')]
     assert with_changes(true).arm.mass[2] == pytest.approx(1.2 * believed.arm.mass[2])
 
 

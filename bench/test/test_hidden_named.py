@@ -51,7 +51,7 @@ def test_a_delay_is_no_lag_when_noise_is_simulated_with_it():
     case = make_case('double', 2121, population='noise_3_coloured')
     result = find_discrepancy([case.recording], case.nominal)
     assert {(one.effect, one.joint) for one in result.findings} == {
-        (spec.name, spec.joint) for spec in case.truth.effects}, result.words
+        spec.key for spec in case.truth.effects}, result.words
 
 
 def test_a_term_for_parameters_believed_a_little_wrong_is_none():

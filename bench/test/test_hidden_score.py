@@ -138,7 +138,7 @@ def test_a_name_for_what_is_truly_believed_wrongly_is_not_wrong(name, joint, rat
 def test_peers_are_asked_on_the_rows_of_a_hidden_robot():
     """A dead zone that stands out, with its name in the library and without."""
     case = make_case('single', 13, duration=12.0)
-    hidden, = ((spec.name, spec.joint) for spec in case.truth.effects)
+    hidden, = (spec.key for spec in case.truth.effects)
     assert peers.ask(case)[peers.FORWARD][0] == hidden
     without = peers.ask(case, without=hidden[:1])[peers.FORWARD]
     assert without and hidden not in without

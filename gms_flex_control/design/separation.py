@@ -172,7 +172,7 @@ def _fitted(likelihood, base, nuisances, dictionary, effects):
                      for one in (spec, replace(spec, values=(
                          _HARDLY * spec.values[0], *spec.values[1:])))), key=lambda one: one.cost)
         columns = fitting.extended(likelihood, model, nuisances)
-        left -= {(spec.name, spec.joint)}
+        left -= {spec.key}
     model, columns = fitting.refitted(likelihood, model, nuisances)
     numbers = fitting.numbers_of(likelihood, model.robot)
     prior = fitting.prior_of(likelihood, model, numbers)

@@ -168,7 +168,7 @@ def _verdict(result):
             yield (f'{one.effect} of {one.joint} is indistinguishable here from '
                    f'{of_joints(one.indistinguishable_from, " or ")}; discriminating experiment: '
                    f'{one.discriminated_by}.'), True
-    added = {(spec.name, spec.joint) for spec in result.robot.effects}
+    added = {spec.key for spec in result.robot.effects}
     for what, few in (('The model also lacks', result.added[_IN_FULL:]),
                       ('Too small to matter in practice:',
                        [one for one in result.minor if one.key in added])):

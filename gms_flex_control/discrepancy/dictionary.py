@@ -94,7 +94,7 @@ def may_join(spec, robot, known) -> bool:
     distinguishes from other torque: the trivial solution would minimise the cost. The first
     effects, ``known`` many, have a size that nothing moves, so they undo none.
     """
-    if any((one.name, one.joint) == (spec.name, spec.joint) for one in robot.effects):
+    if any(one.key == spec.key for one in robot.effects):
         return False
     rigid = spec.joint in robot.joints and robot.arm.rigid[robot.joints.index(spec.joint)]
     there = {one.name for one in robot.effects[known:] if one.joint == spec.joint}
@@ -134,18 +134,17 @@ class Dictionary:
         noise = self._likelihood.encoder_noise
         for column, spec in zip(self.columns, self._specs, strict=True):
             column *= noise.informative_of(spec)[np.argmax(np.asarray(spec.values) != 0.0)]
-        self._unknown = ~np.array([(spec.name, spec.joint) in learned or _is_of_torque(spec.name)
+        self._unknown = ~np.array([spec.key in learned or _is_of_torque(spec.name)
                                    for spec in self._specs], dtype=bool)
 
     def _noise_along(self, direction):
         """Return the products (K,) of the noise in all columns with a direction (R,)."""
         noise, of_effect = self._likelihood.encoder_noise, {}
         for spec in self._specs:
-            if (spec.name, spec.joint) not in of_effect:
-                of_effect[spec.name, spec.joint] = np.sum(
+            if spec.key not in of_effect:
+                of_effect[spec.key] = np.sum(
                     noise.of_effect(spec) * noise.informative_of(spec) * direction, axis=1)
-        return np.array([np.asarray(spec.values) @ of_effect[spec.name, spec.joint]
-                         for spec in self._specs])
+        return np.array([np.asarray(spec.values) @ of_effect[spec.key] for spec in self._specs])
 
     def _products(self, others):
         """Return the products (K, N) of columns with others (N, R), in double precision."""

@@ -48,7 +48,7 @@ class State(NamedTuple):
 
     def key(self, known) -> frozenset:
         """Return the effects that were added, frozenset of (effect, joint)."""
-        return frozenset((spec.name, spec.joint) for spec in self.model.robot.effects[known:])
+        return frozenset(spec.key for spec in self.model.robot.effects[known:])
 
 
 def state_of(likelihood, model, columns, hypotheses) -> State:
@@ -66,7 +66,7 @@ def state_of(likelihood, model, columns, hypotheses) -> State:
     _, occam = np.linalg.slogdet(np.eye(len(gram)) + gram)
     added = len(model.robot.effects) - likelihood.known
     exact = likelihood.sums(model.rows, model.robot, model.x, exact=True)
-    evidence = (-exact.cost - prior_cost(likelihood, model) - occam
+    evidence = (-exact.cost - prior_cost(model, numbers) - occam
                 + 2.0 * log_determinant(likelihood, model)
                 - 2.0 * added * np.log(max(hypotheses, 2)))
     return State(model, columns[:len(model.x)], columns[len(model.x):],

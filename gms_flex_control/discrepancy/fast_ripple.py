@@ -106,8 +106,8 @@ def _of_joint(motions, left, j, likelihood, robot):
             return found
         order = min(tried, key=lambda one: equation.cost([*orders, one]))
         ripple = equation.ripple(orders, order, name, joint)
-        if (not ripple.gain.is_real or ripple.torque < PRACTICAL * likelihood.level_of(joint)
-                or not rigid and _Equation(motions, left, j, j).gain([], order).is_real):
+        if (not ripple.gain.is_real() or ripple.torque < PRACTICAL * likelihood.level_of(joint)
+                or not rigid and _Equation(motions, left, j, j).gain([], order).is_real()):
             return found
         orders.append(order)
         found.append(ripple)

@@ -13,7 +13,6 @@ from gms_flex_control.discrepancy.evidence import posterior, State
 from gms_flex_control.discrepancy.result import Finding, Residual, Value
 from gms_flex_control.discrepancy.torque_noise import clean_torque, excess_torque
 from gms_flex_control.discrepancy.worth import (
-    caution_of,
     dropped,
     plausible_limit,
     pruned,
@@ -62,7 +61,7 @@ def judged(likelihood, found, functions) -> tuple:
     while True:
         model, columns = found.best.model, found.best.columns
         beside = functions.ranked(model, columns)
-        left = functions.left_in(model, columns, caution_of(likelihood), beside)
+        left = functions.left_in(model, columns, beside)
         somewhere = joints_left(likelihood, model, left)
         if not worths or not somewhere:
             return found, worths, left, whole
@@ -195,7 +194,7 @@ def joints_left(likelihood, model, free) -> tuple:
     """Return the joints (str) in which a model leaves more than noise, or a Free function."""
     quiet = excess_torque(likelihood, model) <= np.maximum(
         thresholds.LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
-        caution_of(likelihood) * clean_torque(likelihood))
+        likelihood.caution * clean_torque(likelihood))
     quiet = np.all(quiet.reshape(2, -1), axis=0)  # not where it is not finite
     return tuple(name for name, is_quiet in zip(likelihood.robot.joints, quiet, strict=True)
                  if not is_quiet or free is not None and name == free.joint)
@@ -218,8 +217,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
             effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),
             main=main, torque=one.torque,
             share=min(one.loss / whole, 1.0), score=one.evidence, held_out=one.gain,
-            probability=float(sum(mass for names, mass in models
-                                  if (spec.name, spec.joint) in names)),
+            probability=float(sum(mass for names, mass in models if spec.key in names)),
             runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
             runner_up_score=others[0][2] * one.evidence if others else 0.0,
             indistinguishable_from=tuple(sorted(alike)),
@@ -236,7 +234,7 @@ def _rivals(found, one, spec, beside):
     """
     ranked = found.dictionary.ranked(one.less, one.rest.columns, thresholds.PLAUSIBLE)
     shares = [(*other.key, min((other.gain - beside.get(other.key, 0.0)) / max(one.loss, 1e-12),
-                               1.0)) for other in ranked if other.key != (spec.name, spec.joint)]
+                               1.0)) for other in ranked if other.key != spec.key]
     return sorted((rival for rival in shares if rival[2] > 0.0), key=lambda rival: -rival[2])[
         :_RUNNERS]
 

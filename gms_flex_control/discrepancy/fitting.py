@@ -166,22 +166,20 @@ def prior_of(likelihood, model, numbers=None) -> Prior:
         np.concatenate([model.x, values_of(model.robot, numbers)]))
 
 
-def step_of(likelihood, model, columns, numbers, plausible=np.inf) -> np.ndarray:
-    """Return the step (C,) to where a model is likeliest, to first order, within ``plausible``."""
-    parts = _products(likelihood, model, columns, numbers, [slice(None)])
-    return _step(likelihood, model, numbers, *parts[0], plausible)[0]
-
-
-def steps_without(likelihood, model, columns, numbers, parts, plausible=np.inf) -> Iterator:
-    """Yield the `step_of` all rows but those of each of the ``parts``, bool (R,), all in one."""
-    found = _products(likelihood, model, columns, numbers, parts)
+def steps_without(likelihood, model, columns, numbers, parts, plausible) -> Iterator:
+    """Yield the step of `foreseen` by all rows but those of each of the ``parts``, bool (R,)."""
+    found = normal_equations(likelihood, model, columns, numbers, parts)
     for k in range(len(parts)):
         others = zip(*(one for m, one in enumerate(found) if m != k), strict=True)
         yield _step(likelihood, model, numbers, *map(sum, others), plausible)[0]
 
 
-def _products(likelihood, model, columns, numbers, parts):
-    """Return slope (C,), products (C, C) of columns and of noise in them, by part of the rows."""
+def normal_equations(likelihood, model, columns, numbers, parts) -> list[tuple]:
+    """
+    Return the downhill slope of half the cost (C,), priors left aside, and products (C, C).
+
+    Those of columns and of noise in them, of each part of the rows.
+    """
     weight, noise = likelihood.weights(model.sums.groups), likelihood.encoder_noise
     shown, noise = noise.known(columns), noise.columns(model.robot, numbers)
     spread = 0.5 * weight * model.sums.cleared[likelihood.groups.group]
@@ -193,8 +191,12 @@ def _products(likelihood, model, columns, numbers, parts):
     return found
 
 
-def foreseen(likelihood, model, columns, own, numbers, plausible=np.inf) -> tuple:
-    """Return the step (C,) of `step_of`, and by how much the cost falls there at most."""
+def foreseen(likelihood, model, columns, own, numbers, plausible) -> tuple:
+    """
+    Return the step (C,) to where a model is likeliest, and by how much the cost falls at most.
+
+    To first order, within ``plausible``; ``columns`` hardly change, the last are ``own``.
+    """
     weight, noise = 1.0 / likelihood.noise_levels(model.sums.groups), likelihood.encoder_noise
     of_rows, grams = weight[likelihood.groups.group], likelihood.encoder_noise.grams_of(columns)
     of_numbers = noise.of_numbers(model.robot, numbers)
@@ -264,16 +266,16 @@ def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=
         if not likelihood.encoder_noise.is_foreseen(robot):
             return found
         model = likelihood.exact(found)
-        if best is None or _total(likelihood, model) < _total(likelihood, best):
+        if best is None or total_cost(likelihood, model) < total_cost(likelihood, best):
             best = model
         if abs(model.cost - found.cost) < _ENOUGH * _AS_FORESEEN:
             break
     return best
 
 
-def _total(likelihood, model):
+def total_cost(likelihood, model) -> float:
     """Return -2 log of likelihood times all priors, but for constants."""
-    return model.cost + prior_cost(likelihood, model)
+    return model.cost + prior_cost(model, numbers_of(likelihood, model.robot))
 
 
 def _descended(likelihood, model, columns, first, plausible, iterations):
@@ -289,7 +291,7 @@ def _descended(likelihood, model, columns, first, plausible, iterations):
             other = likelihood.fitted(
                 at_values(model.robot, numbers, values + shrink * step[len(model.x):]),
                 model.x + shrink * step[:len(model.x)])
-            gain = model.cost - other.cost + _prior_cost(model, numbers) - _prior_cost(
+            gain = model.cost - other.cost + prior_cost(model, numbers) - prior_cost(
                 other, numbers)
             if gain > 0.0:
                 break
@@ -304,16 +306,11 @@ def _descended(likelihood, model, columns, first, plausible, iterations):
     return model
 
 
-def _prior_cost(model, numbers):
-    """Return -2 log prior of the numbers of effects."""
+def prior_cost(model, numbers) -> float:
+    """Return -2 log prior of the sizes of a model's effects, their Numbers."""
     values = values_of(model.robot, numbers)
     return float(sum((value / one.sd) ** 2 for value, one in zip(values, numbers, strict=True)
                      if one.centred))
-
-
-def prior_cost(likelihood, model) -> float:
-    """Return -2 log prior of the sizes of a model's effects."""
-    return _prior_cost(model, numbers_of(likelihood, model.robot))
 
 
 def retuned(likelihood, robot, x, plausible=np.inf, columns=None) -> tuple:

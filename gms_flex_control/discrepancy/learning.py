@@ -20,7 +20,7 @@ from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
 from gms_flex_control.discrepancy.null_simulation import is_followed
 from gms_flex_control.discrepancy.result import Discrepancy, LearnedTerm
-from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, PLAUSIBLE, UNSEEN
+from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, PLAUSIBLE
 from gms_flex_control.discrepancy.validation import gain_of
 from gms_flex_control.discrepancy.worth import plausible_limit
 from gms_flex_control.effects import learned as shapes
@@ -84,12 +84,14 @@ def _learned(result, holdout, say):
             break
     else:
         return result.saying(drift or words_of(()))
-    robot = with_nuisances(state.model.robot, learning.likelihood.nuisances, state.model.x)
-    kept = {(one.name, one.joint) for one in robot.effects}
+    robot = replace(
+        with_nuisances(state.model.robot, learning.likelihood.nuisances, state.model.x),
+        uncertainty=result.robot.uncertainty)
+    kept = {one.key for one in robot.effects}
     return replace(
         result.saying(words_of(terms, result.gap, gap), drift), learned=terms, robot=robot,
         gap=gap,
-        stand_ins=tuple(one for one in result.stand_ins if (one.name, one.joint) in kept),
+        stand_ins=tuple(one for one in result.stand_ins if one.key in kept),
         behind=result.behind._replace(
             written=state.model if learning.likelihood is likelihood
             else likelihood.fitted(robot, np.zeros(len(likelihood.nuisances)))))
@@ -109,10 +111,10 @@ def _begun(result, holdout, say):
         return Likelihood([motion_of(one, robot) for one in holdout], robot,
                           held_out=True) if holdout else None
     learning = _Learning(likelihood, measured(likelihood.robot), result.behind.before, say)
-    known = {(one.name, one.joint) for one in result.stand_ins}
+    known = {one.key for one in result.stand_ins}
     if known:
         yield learning, likelihood.fitted(replace(written.robot, effects=tuple(
-            one for one in written.robot.effects if (one.name, one.joint) not in known)),
+            one for one in written.robot.effects if one.key not in known)),
             written.x)
     yield learning, written
     robot = with_nuisances(written.robot, likelihood.nuisances, written.x)
@@ -139,7 +141,6 @@ class _Learning:
         self._plausible = plausible  # standard deviations that nuisance parameters may go
         self._before = State(before, self._nuisances, fitting.effect_columns(
             likelihood, before, fitting.numbers_of(likelihood, before.robot)), -np.inf, PLAUSIBLE)
-        self._caution = UNSEEN if likelihood.unseen else 1.0
         joints = range(likelihood.robot.n_joints)
         self._ranges = [_ranges(likelihood, j) for j in joints]
         self._begun = [spec for j in joints for spec in _specs(likelihood, j, self._ranges[j])]
@@ -164,7 +165,7 @@ class _Learning:
                 if one.state.evidence < state.evidence + EVIDENCE:
                     return state, tuple(terms), gap, drift
                 gain = self._gain(one, state)
-                if not gain._replace(sigmas=gain.sigmas / self._caution).is_real:
+                if not gain.is_real(self.likelihood.caution):
                     continue
                 if not shapes.LEARNED[one.spec.name].written:
                     drift = (f'What is unexplained includes {self._described(one)[0]}: it belongs '
@@ -219,10 +220,10 @@ class _Learning:
 
     def _candidates(self, state):
         """Return the best _Candidate of each kind and joint that a model lacks."""
-        there = {(one.name, one.joint) for one in state.model.robot.effects}
+        there = {one.key for one in state.model.robot.effects}
         found = {}
         for spec in self._begun:
-            if (spec.name, spec.joint) in there:
+            if spec.key in there:
                 continue
             here = [self._fitted(state, spec)]
             if _used(spec) == shapes.KNOTS and _CURVES[spec.name] != 'time':
@@ -254,13 +255,14 @@ class _Learning:
         for _ in range(_ITERATIONS):
             numbers = [one._replace(reach=np.inf)
                        for one in fitting.numbers_of(likelihood, model.robot)]
-            step = fitting.step_of(likelihood, model, columns, numbers, plausible=self._plausible)
+            step, _ = fitting.foreseen(likelihood, model, columns, columns[:0], numbers,
+                                       self._plausible)
             other = likelihood.fitted(
                 fitting.at_values(model.robot, numbers, fitting.values_of(
                     model.robot, numbers) + step[at:]),
                 model.x + step[:at])
-            if not (other.cost + fitting.prior_cost(likelihood, other)
-                    < model.cost + fitting.prior_cost(likelihood, model)):
+            if not (fitting.total_cost(likelihood, other)
+                    < fitting.total_cost(likelihood, model)):
                 break
             model = other
         return _Candidate(self._state(model, columns), state.columns)

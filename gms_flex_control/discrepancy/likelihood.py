@@ -21,7 +21,6 @@ from gms_flex_control.discrepancy.nuisance import (
     nuisances_of,
     of_recordings,
     OfRecording,
-    PRIOR,
     recorded,
     tuned,
 )
@@ -32,7 +31,7 @@ from gms_flex_control.discrepancy.null_simulation import (
     NullRuns,
 )
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
+from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR, UNSEEN
 from gms_flex_control.discrepancy.torque_noise import drawn_noise
 from gms_flex_control.discrepancy.whitening import (
     Band,
@@ -91,8 +90,6 @@ class Likelihood:
         As believed, effects that are known included.
     seed : int
         Of the null simulations.
-    widened : float
-        How many times as far off as usual known parameters may be.
     held_out : bool
         Whether models are fitted to other recordings: what is particular about these ones is
         not known.
@@ -102,13 +99,10 @@ class Likelihood:
 
     """
 
-    def __init__(self, motions, robot, seed=0, widened=1.0, held_out=False, cautious=False):
+    def __init__(self, motions, robot, seed=0, held_out=False, cautious=False):
         self.motions, self.robot, self.seed = tuple(motions), robot, seed
         self._own = plant.constants_of(replace(robot, effects=()))
-        prior = {kind: widened * sd for kind, sd in PRIOR.items()}
-        stated = {(kind, robot.joints.index(joint) if joint in robot.joints else -1):
-                  widened * sd for (kind, joint), sd in robot.uncertainty.items()}
-        self.nuisances = nuisances_of(plant.constants_of(robot), prior, stated) + (
+        self.nuisances = nuisances_of(robot) + (
             () if held_out else of_recordings(self.motions, robot))
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
         self._scales, self._held_out = scales_of(self.motions, robot), held_out
@@ -277,16 +271,8 @@ class Likelihood:
         """Return the weights of the rows (R,) at the likeliest noise levels of sums (G,)."""
         return (1.0 / self.noise_levels(sums))[self.groups.group]
 
-    def slopes(self, shown, noise, model, weight) -> np.ndarray:
-        """
-        Return the downhill slopes of half the cost by nuisances and numbers (C,).
-
-        ``shown`` and ``noise`` (C, R) are `EncoderNoise.known` and `EncoderNoise.columns`.
-        """
-        return noise @ self.noise_cleared(model, weight) - shown @ (weight * model.rows)
-
     def noise_slopes(self, model, weight, numbers=()) -> np.ndarray:
-        """Return what encoder noise adds to informative `slopes`, (C,) or (C, K)."""
+        """Return what encoder noise adds to informative downhill slopes, (C,) or (C, K)."""
         return (self.encoder_noise.columns(model.robot, numbers)
                 * self.encoder_noise.informative(model.robot, numbers)
                 ) @ self.noise_cleared(model, weight).T
@@ -396,6 +382,11 @@ class Likelihood:
         """Return the joints whose links have no encoder, set of str."""
         return {motion.samples.joints[link.joint] for motion in self.motions
                 for link in motion.samples.unseen}
+
+    @property
+    def caution(self) -> float:
+        """Return times as many standard errors as usual that held-out data must show."""
+        return UNSEEN if self.unseen else 1.0
 
     def level_of(self, joint) -> float:
         """Return Coulomb friction of a joint, the least of all for the whole arm [N m]."""

@@ -13,11 +13,10 @@ from typing import NamedTuple
 from gms_flex_control import records
 from gms_flex_control.discrepancy.motion import Motion
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.robot import RobotParams, UNCERTAIN
+from gms_flex_control.params.robot import RobotParams, sd_of, WHOLE_ARM
 from gms_flex_control.simulation import plant
 import numpy as np
 
-PRIOR = {kind: one.sd for kind, one in UNCERTAIN.items()}  # relative standard deviations
 LARGEST = 0.8     # relative change: nothing that a model has vanishes altogether
 OF_SHAPE = ('static', 'velocity', 'attraction', 'blocks')  # residuals are not linear in them
 _CARRIED = {'planar': ('coupling', 'moment'), 'urdf': ('mass', 'inertia')}  # of links
@@ -162,18 +161,13 @@ def of_recordings(motions, robot) -> tuple:
     return tuple(found)
 
 
-def nuisances_of(constants, prior, stated=None) -> tuple:
-    """
-    Return the nuisance parameters of a robot, tuple of Nuisance and RotorNuisance.
-
-    ``constants`` are of simulation.plant; ``prior`` is the standard deviation of each kind,
-    ``stated`` that of (kind, joint) where the user states one.
-    """
-    chain, friction, found = constants.chain, constants.friction, []
-    n, stated = len(chain.motor_inertia), stated or {}
+def nuisances_of(robot) -> tuple:
+    """Return the nuisance parameters of a robot, tuple of Nuisance and RotorNuisance."""
+    constants, found, n = plant.constants_of(robot), [], robot.n_joints
+    chain, friction = constants.chain, constants.friction
 
     def sd(kind, joint):
-        return stated.get((kind, joint), prior[kind])
+        return sd_of(robot, kind, robot.joints[joint] if joint >= 0 else WHOLE_ARM)
 
     def add(kind, joint, *fields, signs=None):
         found.append(Nuisance(kind, joint, sd(kind, joint), fields, signs or (1,) * len(fields)))

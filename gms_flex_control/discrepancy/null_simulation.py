@@ -208,11 +208,11 @@ class EncoderNoise:
         """Learn how noise shows in the derivatives by an effect (EffectSpec) at a small size."""
         shown = np.zeros((len(spec.values), len(self.own)))
         informative = np.ones((len(spec.values), len(self.own_sums)), dtype=bool)
-        there = [(one.name, one.joint) for one in self._robot.effects[self._known:]]
+        there = [one.key for one in self._robot.effects[self._known:]]
         for k, values in linear:
             effects = list(self._robot.effects)
-            if (spec.name, spec.joint) in there:  # a second one would act on what the first made
-                i = self._known + there.index((spec.name, spec.joint))
+            if spec.key in there:  # a second one would act on what the first made
+                i = self._known + there.index(spec.key)
                 own, (lower, upper) = effects[i].values, bounds_of(spec, self._robot)
                 step = values[k] if lower[k] < own[k] + values[k] < upper[k] else -values[k]
                 effects[i] = replace(spec, values=(*own[:k], own[k] + step, *own[k + 1:]))
@@ -221,15 +221,15 @@ class EncoderNoise:
                 step = values[k]
             shown[k], informative[k] = self._shown(likelihood.of_pair(
                 replace(self._robot, effects=tuple(effects)), self._x), step)
-        self._by_effect[spec.name, spec.joint] = shown, informative
+        self._by_effect[spec.key] = shown, informative
 
     def of_effect(self, spec) -> np.ndarray:
         """Return how noise shows in the derivatives by parameters of an effect, or 0 (K, R)."""
-        return self._by_effect.get((spec.name, spec.joint), (np.zeros((len(spec.values), 1)),))[0]
+        return self._by_effect.get(spec.key, (np.zeros((len(spec.values), 1)),))[0]
 
     def informative_of(self, spec) -> np.ndarray:
         """Return where residuals show parameters of an effect, not mostly noise, bool (K, R)."""
-        found = self._by_effect.get((spec.name, spec.joint))
+        found = self._by_effect.get(spec.key)
         return (np.ones((len(spec.values), 1), dtype=bool) if found is None
                 else found[1][:, self._groups.group])
 
@@ -273,7 +273,7 @@ class EncoderNoise:
         out = noise + (x - begin) @ self._by_nuisance
         for sign, specs in ((1.0, robot.effects[self._known:]), (-1.0, effects)):
             for spec in specs:
-                if (spec.name, spec.joint) in self._by_effect:
+                if spec.key in self._by_effect:
                     out += sign * (np.asarray(spec.values) @ self.of_effect(spec))
         return out
 
@@ -296,4 +296,4 @@ class EncoderNoise:
         return self._by_effect.keys() >= set(self._added(robot))
 
     def _added(self, robot):
-        return tuple((spec.name, spec.joint) for spec in robot.effects[self._known:])
+        return tuple(spec.key for spec in robot.effects[self._known:])

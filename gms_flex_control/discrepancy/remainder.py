@@ -229,7 +229,7 @@ class FreeFunctions:
         return (np.zeros_like(rows) if noise is None
                 else self._rows(joint, equation, variable, noise))
 
-    def left_in(self, model, columns, caution=1.0, ranked=None) -> 'Free | None':
+    def left_in(self, model, columns, ranked=None) -> Free | None:
         """Return the Free function, of ``ranked`` ones or all, that a model lacks, or None."""
         without = normal = None
         for free in (self.ranked(model, columns) if ranked is None else ranked)[:_TRIED]:
@@ -242,7 +242,7 @@ class FreeFunctions:
                 without = self._predicted(normal, model, columns, rows[:0], rows[:0])
             noise = self._noise(*free.place, free.noise, rows)
             gain = gain_over(self._predicted(normal, model, columns, rows, noise) - without)
-            if gain._replace(sigmas=gain.sigmas / caution).is_real:
+            if gain.is_real(self._likelihood.caution):
                 return free
         return None
 

@@ -180,7 +180,7 @@ def evidence_of(along, model, finding) -> Evidence:
     which the noise knows nothing of.
     """
     specs = model.robot.effects
-    spec = next(one for one in specs if (one.name, one.joint) == (finding.effect, finding.joint))
+    spec = next(one for one in specs if one.key == finding.key)
     less = replace(model.robot, effects=tuple(one for one in specs if one is not spec))
     after, before = along.residual(model), along.residual(replace(model, robot=less))
     j, equation, column = _strongest(along, before - after, finding.joint)

@@ -224,7 +224,7 @@ class Discrepancy:
     def added(self) -> tuple:
         """Return findings that matter and are in ``robot``."""
         return tuple(one for one in self.findings if any(
-            one.key == (spec.name, spec.joint) for spec in self.robot.effects))
+            one.key == spec.key for spec in self.robot.effects))
 
     @property
     def not_added(self) -> tuple:

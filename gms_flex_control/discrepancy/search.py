@@ -236,9 +236,9 @@ class _Search:
     def improve(self) -> None:
         """Drop, exchange and merge effects where that has more evidence."""
         for spec in self.best.model.robot.effects[self._known:]:
-            there = [(one.name, one.joint) for one in self.best.model.robot.effects]
-            if (spec.name, spec.joint) in there:
-                self._instead_of(there.index((spec.name, spec.joint)))
+            there = [one.key for one in self.best.model.robot.effects]
+            if spec.key in there:
+                self._instead_of(there.index(spec.key))
         added = range(self._known, len(self.best.model.robot.effects))
         if len(added) <= _FEW:
             for pair in combinations(added, 2):

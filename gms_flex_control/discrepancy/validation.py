@@ -34,10 +34,10 @@ class Gain(NamedTuple):
     sigmas: float    # mean of roots over its standard error, over blocks in which it acts
     blocks: int      # in which it acts
 
-    @property
-    def is_real(self) -> bool:
-        """Return whether held-out data speak for the effect."""
-        return self.nats > HELD_OUT_NATS and (self.blocks < FEW_BLOCKS or self.sigmas > PLAUSIBLE)
+    def is_real(self, caution=1.0) -> bool:
+        """Return whether held-out data speak for the effect, with so much ``caution``."""
+        return self.nats > HELD_OUT_NATS and (
+            self.blocks < FEW_BLOCKS or self.sigmas / caution > PLAUSIBLE)
 
 
 def predicted(likelihood, model, columns, plausible=PLAUSIBLE) -> np.ndarray:

@@ -42,9 +42,9 @@ from gms_flex_control.discrepancy.result import (
 from gms_flex_control.discrepancy.samples import faults_of
 from gms_flex_control.discrepancy.search import search
 from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
-from gms_flex_control.discrepancy.worth import caution_of, plausible_limit, timed, with_fewer
+from gms_flex_control.discrepancy.worth import plausible_limit, timed, with_fewer
 from gms_flex_control.effects.registry import find
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import RobotParams, widened
 import numpy as np
 
 _SIMULATED = 3        # times at most that noise is simulated anew
@@ -85,7 +85,8 @@ def find_discrepancy(
         with in_one_thread(), np.errstate(all='ignore'):
             result = _compared([motion_of(recording, robot) for recording in recordings],
                                [motion_of(recording, robot) for recording in holdout],
-                               robot, options, say)
+                               widened(robot, options.widened), options, say)
+            result = replace(result, robot=replace(result.robot, uncertainty=robot.uncertainty))
         if faults:
             result = result.saying(f'About the data: {describe.first_of(faults, 2)}')
     return replace(
@@ -97,19 +98,18 @@ def find_discrepancy(
 def _compared(motions, holdout, robot, options, say):
     """Return the Discrepancy of motions with a robot as believed."""
     say('null simulations: what recordings look like in which nothing is missing')
-    likelihood, _ = with_white_noise(Likelihood(
-        motions, robot, options.seed, widened=options.widened))
+    likelihood, _ = with_white_noise(Likelihood(motions, robot, options.seed))
     likelihood, found = _searched(likelihood, options, say)
     say('held-out prediction')
     searched = found
     functions = FreeFunctions(likelihood)
     found, worths, free, whole = judged(likelihood, found, functions)
-    held_out = HeldOut(likelihood, Likelihood(holdout, robot, options.seed, options.widened,
-                                              held_out=True) if holdout else None)
+    held_out = HeldOut(likelihood, Likelihood(holdout, robot, options.seed, held_out=True)
+                       if holdout else None)
     of_judged = found.best
     found, worths = predictive(likelihood, found, worths, held_out)
     if found.best is not of_judged:
-        free = functions.left_in(found.best.model, found.best.columns, caution_of(likelihood))
+        free = functions.left_in(found.best.model, found.best.columns)
     findings = findings_of(likelihood, found, worths, held_out)
     all_found = found.best
     gap = held_out.gap(found.before, all_found)
@@ -152,8 +152,8 @@ def _result(likelihood, found, searched, after, findings, left, gap, retuned_alo
         searched=Searched(tuple(Credible(tuple(sorted(names)), mass) for names, mass in credible(
             posterior(doubted(found.tried, searched.tried, known), known,
                       {one.key for one in minor}))), _tried(found)),
-        stand_ins=tuple(spec for spec in after.model.robot.effects[known:]
-                        if (spec.name, spec.joint) not in named),
+        stand_ins=tuple(
+            spec for spec in after.model.robot.effects[known:] if spec.key not in named),
         unexplained=left, gap=gap,
         retuned=tuple((one.name, joints[one.joint] if one.joint >= 0 else 'arm', value)
                       for one, value in changes if not isinstance(one, OfRecording)),
@@ -256,7 +256,7 @@ def _of_open_joints(left, model, data):
 def _named_alone(likelihood, found, named):
     """Return the search's end with those effects alone that are ``named``, if any is."""
     withheld = [i for i, spec in enumerate(found.best.model.robot.effects)
-                if i >= likelihood.known and (spec.name, spec.joint) not in named]
+                if i >= likelihood.known and spec.key not in named]
     if not named or not withheld:
         return found
     return found._replace(best=with_fewer(likelihood, found, *withheld))
@@ -343,7 +343,7 @@ def _tried(found):
 
 def _known_off(found, robot):
     """Return (effect, joint) of an effect the model has, if another value would explain most."""
-    known = {(spec.name, spec.joint) for spec in robot.effects}
+    known = {spec.key for spec in robot.effects}
     ranked = sorted(found.scan, key=lambda key: -found.scan[key])
     return (ranked[0] if ranked and ranked[0] in known
             and found.scan[ranked[0]] > thresholds.KNOWN_OFF else None)

@@ -13,7 +13,7 @@ from gms_flex_control.discrepancy.dictionary import may_join
 from gms_flex_control.discrepancy.evidence import finite, State, state_of
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.search import Found
-from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, PLAUSIBLE, UNSEEN
+from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, PLAUSIBLE
 from gms_flex_control.discrepancy.validation import (
     Gain,
     gain_where,
@@ -44,8 +44,7 @@ class Worth(NamedTuple):
 
     def is_real(self, caution=1.0) -> bool:
         """Return whether evidence and held-out data speak for it, with so much ``caution``."""
-        return self.evidence > EVIDENCE and self.gain._replace(
-            sigmas=self.gain.sigmas / caution).is_real
+        return self.evidence > EVIDENCE and self.gain.is_real(caution)
 
 
 def plausible_limit(likelihood, model) -> np.ndarray:
@@ -104,11 +103,6 @@ def _predicts(likelihood, found, spec, less):
     return without_it - with_it > EVIDENCE + 2.0 * np.log(found.hypotheses)
 
 
-def caution_of(likelihood) -> float:
-    """Return times as many standard errors as usual that held-out data must show."""
-    return UNSEEN if likelihood.unseen else 1.0
-
-
 def pruned(likelihood, found) -> tuple:
     """Return the search's end with effects that data speak for alone, and their Worths, ranked."""
     while True:
@@ -117,7 +111,7 @@ def pruned(likelihood, found) -> tuple:
         whole = predicted(likelihood, model, columns, plausible_limit(
             likelihood, model)) if added else None
         worths = [_worth_of(likelihood, found, i, whole) for i in added]
-        weak = [one for one in worths if not one.is_real(caution_of(likelihood))]
+        weak = [one for one in worths if not one.is_real(likelihood.caution)]
         if not weak:
             most = max((one.loss for one in worths), default=0.0)
             return found, sorted(worths, key=lambda one: (one.loss < (1.0 - CREDIBLE) * most,
@@ -145,8 +139,7 @@ def with_fewer(likelihood, found, *dropped) -> State:
 
 def _tried_without(likelihood, found, spec):
     """Return the States that were tried without an effect."""
-    return (state for state in found.tried
-            if (spec.name, spec.joint) not in state.key(likelihood.known))
+    return (state for state in found.tried if spec.key not in state.key(likelihood.known))
 
 
 def timed(likelihood, found) -> Found:

@@ -166,6 +166,11 @@ class EffectSpec:
     joint: str     # link name, or 'arm' for an effect of the whole arm
     values: tuple  # of float, in the order of the effect's parameters
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Return (effect, joint)."""
+        return self.name, self.joint
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotParams:
@@ -206,15 +211,18 @@ class RobotParams:
         return len(self.joints)
 
 
+def sd_of(robot: RobotParams, kind: str, joint: str) -> float:
+    """Return the relative standard deviation of one of UNCERTAIN of a joint or the 'arm'."""
+    return robot.uncertainty.get((kind, joint), UNCERTAIN[kind].sd)
+
+
 def known_to(robot: RobotParams, kind: str) -> np.ndarray:
     """Return the relative standard deviation of one of UNCERTAIN for each joint (n,)."""
-    return np.array([robot.uncertainty.get((kind, joint), UNCERTAIN[kind].sd)
-                     for joint in robot.joints])
+    return np.array([sd_of(robot, kind, joint) for joint in robot.joints])
 
 
 def widened(robot: RobotParams, times: float) -> RobotParams:
     """Return a robot whose parameters are known ``times`` as badly."""
-    known = {(kind, joint): sd for kind in UNCERTAIN
-             for joint, sd in zip(robot.joints, known_to(robot, kind), strict=True)}
     return replace(robot, uncertainty={
-        key: times * sd for key, sd in {**known, **robot.uncertainty}.items()})
+        (kind, joint): times * sd_of(robot, kind, joint)
+        for kind in UNCERTAIN for joint in (*robot.joints, WHOLE_ARM)})
