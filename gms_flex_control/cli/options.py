@@ -5,6 +5,7 @@ from argparse import RawDescriptionHelpFormatter
 from collections.abc import Callable
 from contextlib import contextmanager
 from functools import partial
+import gc
 from importlib import import_module
 import sys
 import textwrap
@@ -112,9 +113,21 @@ def _run(place, args):
     verb = place
     if isinstance(place, str):
         module, _, function = place.partition('.')
-        verb = getattr(import_module(f'gms_flex_control.cli.{module}'), function)
+        verb = getattr(_imported(f'gms_flex_control.cli.{module}'), function)
     with _compiling_announced():
         return verb(args)
+
+
+def _imported(name):
+    """Return a module; of what libraries make on import nothing goes, so garbage is not sought."""
+    if name not in sys.modules and gc.isenabled():
+        gc.disable()
+        try:
+            import_module(name)
+            gc.freeze()
+        finally:
+            gc.enable()
+    return import_module(name)
 
 
 @contextmanager

@@ -10,7 +10,6 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import AutoMinorLocator
 import numpy as np
 
 # Okabe and Ito: distinct with any colour vision; the line styles differ as well
@@ -57,7 +56,6 @@ def finished(figure, panels, title) -> Figure:
         panel.grid(color='0.9', linewidth=0.6)
         panel.set_axisbelow(True)
         panel.margins(x=0)
-        panel.xaxis.set_minor_locator(AutoMinorLocator())
         panel.tick_params(which='both', direction='in', top=True, right=True, labelsize=9)
         legend = panel.get_legend()
         if legend is not None:
