@@ -88,3 +88,13 @@ def test_a_ramp_of_torque_that_acts_later_is_lower_by_what_it_rose_in_between():
     recording = replace(pendulum(), tau_motor=3.0 * pendulum().time[:, None])
     late = Believed(described().arm, np.array([0.013])).in_time(recording).tau_motor
     np.testing.assert_allclose(late[5:-5], recording.tau_motor[5:-5] - 3.0 * 0.013, atol=1e-12)
+
+
+def test_an_axis_that_slides_is_believed_as_one_that_turns():
+    """The equations are the same: m for rad, N for N m, kg for kg m^2."""
+    recording, robot = experiment(rigid=True)[0], axis(rigid=True)
+    turns, slides = (believed([recording], replace(robot, arm=replace(robot.arm, axes=axes)))
+                     for axes in ('rotary', 'linear'))
+    assert slides.arm.axes == 'linear'
+    for name in ('inertia', 'motor_inertia', 'mass'):
+        assert getattr(slides.arm, name) == getattr(turns.arm, name)

@@ -8,7 +8,7 @@ import re
 from gms_flex_control.answer import align
 from gms_flex_control.cli.main import main
 from gms_flex_control.effects.registry import find
-from gms_flex_control.errors import GmsFlexError, ParameterError
+from gms_flex_control.errors import ConfigError, GmsFlexError, ParameterError
 from gms_flex_control.identification.output import report_json
 from gms_flex_control.params.arm import ArmParams, in_currents, in_units
 from gms_flex_control.params.robot import EncoderParams, FrictionParams, StribeckParams
@@ -107,7 +107,9 @@ def linear(robot):
     ('0.5 mrad', '0.5 mm'), ('rad/s', 'm/s'), ('[rad^2]', '[m^2]'), ('3 mN m of', '3 mN of'),
     ('N m', 'N'), ('N m/rad', 'N/m'), ('N m s/rad', 'N s/m'), ('N m s^2/rad^2', 'N s^2/m^2'),
     ('N m/rad^3', 'N/m^3'), ('N m/s', 'N/s'), ('kN m', 'kN'), ('kg m^2', 'kg'),
-    ('gradient of m, N', 'gradient of m, N')])
+    ('gradient of m, N', 'gradient of m, N'), ('crossover [rad/s]', 'crossover [1/s]'),
+    ('phase 0.4 (0.3 .. 0.5) rad; reach 2 rad', 'phase 0.4 (0.3 .. 0.5) radians; reach 2 m'),
+    ('phase [deg]  speed [rad/s]', 'phase [deg]  speed [m/s]')])
 def test_units_of_linear_axes(robot, rotary, written):
     assert in_units(linear(robot).arm, rotary) == written
     assert in_units(robot.arm, rotary) == rotary
@@ -156,13 +158,30 @@ def test_the_page_of_view_has_mm_and_n(robot):
 
 
 def test_the_tool_states_them(robot, tmp_path, capsys):
-    path = str(tmp_path / 'robot.yaml')
+    path, bag = str(tmp_path / 'robot.yaml'), str(tmp_path / 'bag')
     save_robot(linear(robot), path)
-    assert main(['simulate', '--robot', path, '--duration', '0.1', '--out',
-                 str(tmp_path / 'bag')]) == 0
+    effects = tmp_path / 'effects.yaml'
+    effects.write_text('/**:\n  ros__parameters:\n    effects:\n      joint1:\n'
+                       '        torque_ripple: {amplitude: 0.1, order: 600.0, phase: 0.5}\n')
+    assert main(['simulate', '--robot', path, '--duration', '0.1', '--out', bag]) == 0
     assert 'MSE per link [m^2]' in capsys.readouterr().out
-    assert main(['export', '--to', 'csv', '--robot', path]) == 0
-    assert ROTARY.findall(capsys.readouterr().out) == []
+    assert main(['export', '--to', 'csv', '--robot', path, str(effects)]) == 0
+    csv = capsys.readouterr().out
+    assert ROTARY.findall(csv) == [] and 'phase,joint1,0.5,radians' in csv
+    out = tmp_path / 'results'
+    assert main(['analyse', bag, '--label', 'sinusoid_gms', '--out', str(out)]) == 0
+    page = re.sub(r'<script>.*?</script>', '', (out / 'report.html').read_text('utf-8'),
+                  flags=re.DOTALL)
+    for text in (capsys.readouterr().out, page, (out / 'table4.json').read_text()):
+        assert ROTARY.findall(text) == []
+
+
+def test_what_is_missing_of_a_linear_axis_is_its_mass(tmp_path):
+    path = tmp_path / 'robot.yaml'
+    path.write_text('/**:\n  ros__parameters:\n    joints: [slide]\n    arm:\n'
+                    '      {kind: decoupled, axes: linear, slide: {stiffness: .inf}}\n')
+    with pytest.raises(ConfigError, match=r'inertia is missing: .* all that moves \[kg\]'):
+        load_robot(path)
 
 
 def test_a_table_keeps_its_columns_in_other_units():

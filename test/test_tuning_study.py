@@ -4,13 +4,15 @@
 from dataclasses import replace
 import json
 import re
+import shlex
 
 from core_runs import model_with_error
 from gms_flex_control.cli.main import main
 from gms_flex_control.file_io import robot_file
+from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.schema.build import robot_values
-from gms_flex_control.schema.files import save_values
+from gms_flex_control.schema.files import save_robot, save_values
 from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
 from gms_flex_control.tuning import study
@@ -129,3 +131,19 @@ def test_the_robot_as_identified_is_the_plant(arm, tmp_path, only, capsys):
     once = study.error_of(study.try_cell(study.cells(setting_of(arm))['none | nominal']))
     assert printed['rows'][0]['errors']['nominal'] > 1.5 * once
     assert str(twice) in (tmp_path / 'report.html').read_text()
+
+
+def test_what_compare_and_tune_say_comes_next_runs_with_a_robot_of_its_own(
+        tmp_path, monkeypatch, capsys, only):
+    """The sinusoid of config/ is for the joints of the paper: both write the one they tried."""
+    only('none', 'gms')
+    monkeypatch.chdir(tmp_path)
+    save_robot(rigid_joints(['slide']), 'robot.yaml')
+    for verb in ('tune --robot robot.yaml --torque-limit 20 --amplitude 0.2 --out tuned',
+                 'compare robot.yaml --controller tuned/controller.yaml --amplitude 0.2 --draws 0 '
+                 '--workers 1 --out compared'):
+        assert main(verb.split()) == 0
+        printed = capsys.readouterr().out
+        assert 'condition' not in printed.split('alpha')[0]  # none on rigid joints
+        assert main(shlex.split(printed.partition('next: ')[2])[1:]) == 0
+        capsys.readouterr()

@@ -79,7 +79,7 @@ def _write_files(result, compared, holdout, args):
     with written_together():
         written = write_discrepancy_report(result, out, holdout=holdout, models=compared)
         if result.robot is not None:
-            files.write_robot(result, out / 'robot.yaml')
+            files.write_robot(result, out / 'robot.yaml', units_of(result))
             written.append(out / 'robot.yaml')
         write_json(out / 'report.json', values)
     for path in set(earlier) - set(written):  # no longer true

@@ -77,8 +77,8 @@ def _listing(prog, groups, helps):
     for title, verbs in groups.items():
         lines += [f'verbs {title}:', *(f'  {name:<{width}}{helps[name]}' for name in verbs), '']
     return '\n'.join([*lines, f'{prog} VERB --help has options and examples.',
-                      'Exit codes: 0 done, 1 a finding says no, 2 bad input, 130 interrupted by '
-                      'Ctrl-C.'])
+                      'Exit codes: 0 done, 1 a finding says no, 2 bad input, 70 a program error, '
+                      '130 interrupted by Ctrl-C.'])
 
 
 def _parsed(parser, argv):

@@ -2,12 +2,13 @@
 """The verbs on recordings of a robot: `import-csv`, `analyse`, `identify`."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from gms_flex_control.cli.terminal import end, progress, refuse_repeated, refuse_unwritable
 from gms_flex_control.data import metadata
 from gms_flex_control.data.conditions import NAME, UNKNOWN
-from gms_flex_control.data.csv_import import currents_in
+from gms_flex_control.data.csv_import import currents_in, sliding
 from gms_flex_control.data.csv_import import import_csv as read_csv
 from gms_flex_control.data.csv_map import load_map
 from gms_flex_control.data.reader import joint_names, read_experiment_of, read_recording
@@ -20,7 +21,7 @@ from gms_flex_control.identification.assumed_robot import only_joints, rigid_joi
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.recording_checks import check
-from gms_flex_control.params.arm import in_currents
+from gms_flex_control.params.arm import in_currents, in_units_of
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.reports import recordings_page
 from gms_flex_control.reports.answers import identification_answer, identification_text
@@ -36,6 +37,8 @@ def import_csv(args) -> int:
     import_map = load_map(find_map(args.map_file))
     log = read_csv(args.file, import_map, args.resample)
     custom = {'imported_from': Path(args.file).name, 'import_map': Path(import_map.path).name}
+    if len(sliding(import_map)) == len(import_map.joints):
+        custom['axes'] = 'linear'
     if import_map.source:
         custom['source'] = import_map.source
     write_recording(args.out, log.recording, log.motors, custom=custom)
@@ -75,16 +78,21 @@ def analyse(args) -> int:
     labels = list(map(given_label, args.label) if args.label else map(bag_label, args.bags))
     runs = [Run(*label, read_recording(bag, args.joints, args.motors))
             for bag, label in zip(args.bags, labels, strict=True)]
-    table = recordings_page.write_tracking_report(runs, args.out)
-    return end(args, table.as_dict(), table.text(), table.answer(),
-               {'report': Path(args.out) / 'report.html'})
+    axes = {_remarks(bag).get('axes', 'rotary') for bag in args.bags}
+    words = partial(in_units_of, axes.pop() if len(axes) == 1 else 'rotary')
+    table = recordings_page.write_tracking_report(runs, args.out, words=words)
+    return end(args, recordings_page.table_values(table, words), table.text(), table.answer(),
+               {'report': Path(args.out) / 'report.html'}, words)
+
+
+def _remarks(bag):
+    path = Path(bag) / 'metadata.yaml'
+    return metadata.load(path).custom if path.is_file() else {}
 
 
 def bag_label(path) -> tuple[str, str]:
     """Return trajectory and compensation of a bag, by its metadata or else its folder's name."""
-    path, custom = Path(path), {}
-    if (path / 'metadata.yaml').is_file():
-        custom = metadata.load(path / 'metadata.yaml').custom
+    path, custom = Path(path), _remarks(path)
     trajectory, compensation = _split_label(path.resolve().name)
     return (str(custom.get('trajectory', trajectory)),
             str(custom.get('compensation', compensation)))

@@ -31,7 +31,7 @@ def simulate(args) -> int:
     if any(not Path(motion).suffix for motion in args.trajectory):
         _require_paper('--trajectory', 'motions', joints, 'gms_flex tune or plan write')
     for motion, mode in product(args.trajectory, modes):
-        files = [*robot, controller, trajectory_file(motion)]
+        files = [*robot, *controller, trajectory_file(motion)]
         chosen = overrides | ({'compensation': mode} if mode else {})
         plan = read_plan(files, model=args.model, overrides=chosen, duration=args.duration)
         name = f'{Path(motion).stem}_{plan.gains.compensation}'
@@ -51,11 +51,11 @@ def simulate(args) -> int:
     return end(args, results, f'\nnext: {command(*again)}')
 
 
-def controller_of(args, joints) -> list | Path:
+def controller_of(args, joints) -> list:
     """Return the files of --controller, by default the paper's if they are for these joints."""
     if not args.controller:
         _require_paper('--controller', 'gains', joints, 'gms_flex tune proposes')
-    return args.controller or controller_file()
+    return args.controller or [controller_file()]
 
 
 def _require_paper(option, what, joints, way_out):

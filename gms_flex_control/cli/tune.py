@@ -103,11 +103,9 @@ def _write(args, robot, proposal, demands):
         *tuning_page.loop_lines(proposal.judgement, demands.timing)[:1],
         tuning_page.margins_table(proposal.judgement, robot)])
     save_values(controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
-                comment=comment)
+                comment=in_units(robot.arm, comment))
     if args.robot:
-        sizes = {f'trajectory.{joint}.amplitude': args.amplitude for joint in robot.joints}
-        save_values({'trajectory.type': 'sinusoid'} | sizes, out / 'trajectory.yaml',
-                    comment='The sinusoid that the gains were tried with.')
+        _sinusoid(args, robot)
     save_figure(tuning_page.tuning_figure(robot, proposal.gains, demands.timing),
                 out / 'tuning.png')
 
@@ -139,10 +137,22 @@ def compare(args) -> int:
                             amplitude=args.amplitude, workers=args.workers)
     values = found.to_dict() | {'cells': found.outcomes}
     page, numbers = Path(args.out) / 'report.html', Path(args.out) / 'comparison.json'
+    again = ('--controller', *args.controller) if args.controller else ()
     with written_together():
         write_json(numbers, values)
-        comparison_page.plant_page(found.rows, found.outcomes, found.setting,
-                                   args.robot).write(page)
-    return end(args, values, found.summary(),
-               comparison_page.plant_answer(found.rows, found.outcomes, args.robot),
-               {'report': page, 'numbers': numbers}, partial(in_units, robot.arm))
+        if args.robot:
+            again = '--robot', *args.robot, *again, '--trajectory', _sinusoid(args, robot)
+        answer = comparison_page.plant_answer(found.rows, found.outcomes, again)
+        comparison_page.plant_page(found.rows, found.outcomes, found.setting, args.robot,
+                                   answer).write(page)
+    return end(args, values, found.summary(), answer, {'report': page, 'numbers': numbers},
+               partial(in_units, robot.arm))
+
+
+def _sinusoid(args, robot):
+    """Write the sinusoid that was simulated as a trajectory file, and return its path."""
+    path = Path(args.out) / 'trajectory.yaml'
+    sizes = {f'trajectory.{joint}.amplitude': args.amplitude for joint in robot.joints}
+    save_values({'trajectory.type': 'sinusoid'} | sizes, path,
+                comment='The sinusoid that the gains were tried with.')
+    return path

@@ -25,7 +25,8 @@ DEMO_MOTIONS, DEMO_MODES = ('sinusoid', 'polynomial'), ('none', 'gms_paper', 'gm
 _EFFECTS = Verb(
     'effects', 'robots.effects', 'the effects a robot file can have, with their parameters',
     'List the effects of the catalogue: what each is, how to write it in a robot file, and its '
-    'parameters with their units. With names, only those effects.',
+    'parameters with their units. With names, only those effects. On linear axes m stands for '
+    'rad, N for N m, and 2 pi m for a revolution; a phase remains an angle.',
     (option('names', nargs='*', metavar='EFFECT', help='default: all of them'), JSON),
     ('effects', 'effects backlash end_stop --json'))
 _RECORD = Verb(
@@ -192,7 +193,7 @@ _SIMULATE = Verb(
         ROBOT,
         option('--model', nargs='+', metavar='FILE',
                help='robot files the controller believes in; default: --robot'),
-        option('--controller', metavar='FILE', help='default: the gains of the paper'),
+        CONTROLLER,
         option('--trajectory', nargs='+', default=['sinusoid'], metavar='FILE',
                help='file with trajectory parameters, or the name of one of config/'),
         option('--compensation', nargs='+', metavar='MODE', completer=lambda **_: COMPENSATIONS,

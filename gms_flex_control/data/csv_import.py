@@ -276,14 +276,19 @@ def currents_in(import_map) -> list:
         for channel in joint.channels.values())]
 
 
+def sliding(import_map) -> list:
+    """Return the joints that are linear axes."""
+    return [joint.name for joint in import_map.joints
+            if joint.channels['link_position'].unit in csv_map.LENGTH]
+
+
 def _units_kept(import_map):
     """Yield what is not in the units the bag's topics are meant for."""
     currents = currents_in(import_map)
     if currents:
         yield (f'no torque_constant for {", ".join(currents)}: a current stays a current [A]; '
                'recording.yaml beside the bag says so, and takes the constant once it is known')
-    linear = [joint.name for joint in import_map.joints
-              if joint.channels['link_position'].unit in csv_map.LENGTH]
+    linear = sliding(import_map)
     if linear:
         yield (f'{", ".join(linear)}: linear axis, so read m for rad, N for N m and kg for '
                'kg m^2')

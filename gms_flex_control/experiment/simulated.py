@@ -137,7 +137,7 @@ def simulate_to_bag(plan: Plan, path) -> Recording:
     write_recording(path, recording, plan.robot.motors,
                     source='/cascade_controller', custom={
                         'trajectory': plan.motion, 'compensation': plan.gains.compensation,
-                        'period_ns': str(plan.period_ns)})
+                        'period_ns': str(plan.period_ns), 'axes': plan.robot.arm.axes})
     return recording
 
 

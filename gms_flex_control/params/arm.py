@@ -23,7 +23,10 @@ ARM_KINDS = ('planar', 'decoupled', 'urdf')
 AXES = ('rotary', 'linear')
 STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
 # of linear axes in what is printed
-_OF_LINEAR = ((r'\bkg m\^2', 'kg'), (r'\b([mk]?N) m\b', r'\1'), (r'\bmrad\b', 'mm'),
+_OF_LINEAR = (  # but the phase of a wave is an angle, and an angular frequency no speed
+              (r'\b(phase\b[^;,\n\]]*)\brad\b', r'\1radians'),
+              (r'\b(bandwidth|crossover|frequency) \[rad/s', r'\1 [1/s'),
+              (r'\bkg m\^2', 'kg'), (r'\b([mk]?N) m\b', r'\1'), (r'\bmrad\b', 'mm'),
               (r'\brad\b', 'm'))
 # of axes whose efforts are currents of unknown torque constant, after these
 _OF_CURRENT = ((r'\bkg m\^2', 'A s^2/rad'), (r'\bkg\b', 'A s^2/m'), (r'\bmN( m)?\b', 'mA'),
@@ -76,7 +79,8 @@ class ArmParams:
     mass: np.ndarray = number('mass of the link', 'kg', 0.0, 0.0)
     length: np.ndarray = number('distance to the next joint', 'm', 0.0, 0.0)
     com: np.ndarray = number('centre of mass from the joint', 'm', 0.0)
-    inertia: np.ndarray = number('inertia about the centre of mass; mass com^2 comes on top',
+    inertia: np.ndarray = number('inertia about the centre of mass; mass com^2 comes on top. '
+                                 'Of a linear axis all that moves',
                                  'kg m^2', lower=0.0, unless=('arm.kind', 'urdf', 0.0))
     motor_inertia: np.ndarray = number('motor inertia reflected to the joint', 'kg m^2', lower=0.0,
                                        unless=('arm.kind', 'urdf', 0.0))
@@ -185,8 +189,10 @@ def in_space(arm: ArmParams) -> ArmParams:
         position=np.outer(np.append(0.0, arm.length[:-1]), along), lower=-everywhere,
         upper=everywhere, velocity=everywhere, effort=everywhere)
     about_z = np.maximum(arm.inertia, POINT)
-    return replace(arm, kind='urdf', frames=frames, length=np.zeros(n), com=np.outer(
-        arm.com, along), mass=np.maximum(arm.mass, POINT), gravity=np.append(arm.gravity, 0.0),
+    return replace(
+        arm, kind='urdf', axes='rotary', frames=frames, length=np.zeros(n),
+        com=np.outer(arm.com, along), mass=np.maximum(arm.mass, POINT),
+        gravity=np.append(arm.gravity, 0.0),
         inertia=about_z[:, None, None] * np.diag([0.5, 0.5, 1.0]))
 
 
@@ -234,9 +240,12 @@ def inertia_of(second: np.ndarray, least: float) -> np.ndarray:
 
 def in_units(arm: ArmParams, text: str) -> str:
     """Return a text that is written for rotary axes, its units those of an arm."""
-    if arm.axes == 'rotary':
-        return text
-    return _with_units(_OF_LINEAR, text)
+    return in_units_of(arm.axes, text)
+
+
+def in_units_of(axes: str, text: str) -> str:
+    """Return likewise a text in the units of 'linear' axes, or any other as it is."""
+    return _with_units(_OF_LINEAR, text) if axes == 'linear' else text
 
 
 def in_currents(text: str) -> str:

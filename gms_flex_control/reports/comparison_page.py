@@ -57,8 +57,8 @@ def plant_text(rows) -> str:
     return f'{align(_header(rows), [_cells(row) for row in rows])}\n{_NOTE}'
 
 
-def plant_answer(rows, outcomes, files=()) -> Answer:
-    """Return which compensation errs least in simulation (Answer); ``files`` of the robot."""
+def plant_answer(rows, outcomes, again=()) -> Answer:
+    """Return which compensation errs least (Answer); ``again``: options of `simulate`."""
     floor = study.floor_of(outcomes)
     left = study.error_of(floor)
     rest = None if left is None else max(floor['polynomial']['hold'])
@@ -75,12 +75,11 @@ def plant_answer(rows, outcomes, files=()) -> Answer:
         if best.drawn else measured('error, one thing different [mrad]', *worst, left),
         measured('motion at rest [mrad]', *(row.hold and max(row.hold) for row in (none, best)),
                  rest))
-    robot = ('--robot', *files) if files else ()
     return Answer(
         f'On the plant as believed the error of "{best.name}" is the least{also}; the floor is '
         'what encoders and the controller itself leave where there is no friction at all.',
         ('none', best.name, 'floor'), numbers,
-        command('simulate', *robot, '--compensation', 'none', best.mode, '--out', 'bags'))
+        command('simulate', *again, '--compensation', 'none', best.mode, '--out', 'bags'))
 
 
 def _least(error):
@@ -88,9 +87,9 @@ def _least(error):
     return np.inf if error is None else error
 
 
-def plant_page(rows, outcomes, setting, source) -> Report:
+def plant_page(rows, outcomes, setting, source, answer) -> Report:
     """Return the page of rows and outcomes of a Setting, of robot files ``source``, if any."""
-    robot, answer = setting.robot, plant_answer(rows, outcomes, source)
+    robot = setting.robot
     page = Report('Friction compensations compared', answer,
                   f'{", ".join(source) or "the arm of the paper"}, {setting.rate:g} Hz, sinusoid '
                   f'and polynomial of {setting.amplitude[0]:g} rad, simulated',

@@ -91,9 +91,9 @@ def _by_joint(joints, values):
     return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
 
 
-def write_robot(result, path) -> None:
-    """Write the robot with what was found: a ROS parameter file for nodes and tools."""
-    save_robot(result.robot, path, comment=_comment(result))
+def write_robot(result, path, words=str) -> None:
+    """Write the robot with what was found, a ROS parameter file; ``words`` changes its units."""
+    save_robot(result.robot, path, comment=words(_comment(result)))
 
 
 def _comment(result):

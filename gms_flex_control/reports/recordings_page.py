@@ -23,23 +23,28 @@ _LOOKS = {'none': (1, '-'), 'gms_paper': (2, '-.'), 'gms': (0, '-')}  # colour a
 
 
 @written_together()
-def write_tracking_report(runs, folder, title='Tracking report', *, subtitle=None, beside=None
-                          ) -> Table4:
-    """Write table4.json, report.html, PNGs of runs, ``beside`` others by name; return Table4."""
+def write_tracking_report(runs, folder, title='Tracking report', *, subtitle=None, beside=None,
+                          words=str) -> Table4:
+    """
+    Write table4.json, report.html, PNGs of runs, ``beside`` others by name; return Table4.
+
+    ``words`` changes the units of texts.
+    """
     folder = Path(folder)
     table = table4(runs)
     others = {name: table4(some) for name, some in (beside or {}).items()}
-    everything = table.as_dict() | {
-        name.replace(' ', '_'): other.as_dict() for name, other in others.items()}
+    everything = table_values(table, words) | {
+        name.replace(' ', '_'): table_values(other, words) for name, other in others.items()}
     write_json(folder / 'table4.json', everything)
-    _save_pictures(runs, folder)
+    _save_pictures(runs, folder, words)
     report = Report(title, table.answer(), subtitle or (
-        f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: link angle against reference'))
+        f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: link angle against reference'),
+                    words)
     hardest = next(iter(table.hardest), None)
     _add_error_charts(report, runs, lambda place: place == hardest)
     report.heading('Table 4')
     report.table(*table.rows(), caption='Mean square error, link angle − reference '
-                 '[rad²], and ratio without / with')
+                 '[rad^2], and ratio without / with')
     report.note(table.as_dict()['note'])
     for finding in table.findings():
         report.note(finding, warning=True)
@@ -53,6 +58,12 @@ def write_tracking_report(runs, folder, title='Tracking report', *, subtitle=Non
         _add_run(report, run)
     report.write(folder / 'report.html')
     return table
+
+
+def table_values(table, words) -> dict:
+    """Return a Table4 as plain values, in the units of ``words``."""
+    values = table.as_dict()
+    return values | {'unit': words(values['unit'])}
 
 
 def _add_run(report, run):
@@ -160,14 +171,15 @@ def _title(run):
     return f'{_capital(run.trajectory)}: {_name(run)}'
 
 
-def _save_pictures(runs, folder):
+def _save_pictures(runs, folder, words):
     used = set()
     for trajectory, drawn in _by_trajectory(runs):
         for run in drawn:
             name = f'tracking_{run.trajectory}_{run.compensation}'
-            figure_style.save_figure(tracking_figure(run), free_path(folder, name, used))
+            figure_style.save_figure(tracking_figure(run), free_path(folder, name, used),
+                                     words)
         figure_style.save_figure(error_figure(drawn, trajectory),
-                                 free_path(folder, f'errors_{trajectory}', used))
+                                 free_path(folder, f'errors_{trajectory}', used), words)
 
 
 MOST_TRACES = 6          # of one joint on the page

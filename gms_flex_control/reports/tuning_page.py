@@ -109,8 +109,9 @@ def conditions_text(report) -> str:
                        for joint, alpha in zip(report.joints, report.alpha, strict=True))
     low, high = report.mass_range
     bottom, top = report.energy_range
+    table = [align(('joint', 'condition', 'value', 'limit', 'verdict'), rows), ''] if rows else []
     return '\n'.join([
-        align(('joint', 'condition', 'value', 'limit', 'verdict'), rows), '',
+        *table,
         f'alpha, smallest eigenvalue of N_2 (37): {alphas}',
         f'eigenvalues over all configurations: M {low:.5g} to {high:.5g} kg m^2, '
         f'N_1 (34) {bottom:.5g} to {top:.5g}',

@@ -7,6 +7,7 @@ from textwrap import wrap
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.file_io import as_yaml, checked_yaml, write_text
 from gms_flex_control.hardware.limits import Limits
+from gms_flex_control.params.arm import in_units_of
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema import build
@@ -60,7 +61,8 @@ def _built(paths, make):
     try:
         return make(values)
     except (ConfigError, ParameterError) as error:
-        raise located(error, paths, places) from error
+        told = type(error)(in_units_of(values.get('arm.axes'), str(error)))
+        raise located(told, paths, places) from error
 
 
 def located(error, paths, places) -> Exception:

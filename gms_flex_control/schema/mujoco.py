@@ -156,7 +156,7 @@ def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) ->
     Return a robot with effects among `EFFECTS` as MJCF for MuJoCo 4 (str).
 
     Joints and actuators have the names of links and motors, in their order: first all links, then
-    the motors of flexible joints; one input per joint [N m]. ``without`` ``presliding`` friction
+    the motors of flexible joints; one input each [N m or N]. ``without`` ``presliding`` friction
     has no blocks: MuJoCo's dry friction takes their place. ConfigError if the ``timestep`` [s] is
     too long for the stiffest spring.
     """
@@ -165,9 +165,7 @@ def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) ->
         EFFECTS[spec.name](joints[robot.joints.index(spec.joint)], *spec.values)
     _require_short(robot, joints, timestep)
     root = ElementTree.Element('mujoco', model='arm')
-    root.append(Comment(
-        ' Written by gms_flex export for MuJoCo 4 or later. SI units; torques of the actuators in '
-        'N m. '))
+    root.append(Comment(' Written by gms_flex export for MuJoCo 4 or later, in SI units. '))
     SubElement(root, 'compiler', angle='radian', autolimits='true')
     option = SubElement(root, 'option', timestep=_text(timestep),
                         gravity=_text(*robot.arm.gravity, 0.0), integrator='implicitfast')

@@ -178,5 +178,6 @@ def table(robot: RobotParams) -> str:
         entries = enumerate(value) if isinstance(value, list) else ((None, value),)
         for k, entry in entries:
             writer.writerow([name if k is None else f'{name}[{k}]', joint, entry,
-                             in_units(robot.arm, key.unit), key.description])
+                             in_units(robot.arm, f'{parts[-1]} {key.unit}').split(' ', 1)[1],
+                             key.description])
     return text.getvalue()

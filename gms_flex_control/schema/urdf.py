@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Comment, SubElement
 
 from gms_flex_control.hardware.limits import UNLIMITED
+from gms_flex_control.params.arm import in_units
 import numpy as np
 
 BASE = 'base'
@@ -113,7 +114,8 @@ def _add_link(root, robot, j, size):
     joint = _joint(root, arm, j, robot.joints[j], parent, _link_name(robot, j), place)
     if arm.rigid[j] and arm.motor_inertia[j] > 0.0:
         joint.append(Comment(
-            f' rigid joint: motor inertia {arm.motor_inertia[j]:g} kg m^2 comes on top '))
+            in_units(arm, f' rigid joint: motor inertia {arm.motor_inertia[j]:g} kg m^2 comes '
+                          'on top ')))
     _dynamics(joint, robot, j)
 
 
