@@ -9,9 +9,11 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
+from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.params.robot import FrictionParams, StribeckParams, widened
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 NONE = StribeckParams(static=[1e-14], coulomb=[1e-14], velocity=[1.0], viscous=[0.0])
 FRICTIONLESS = FrictionParams(forward=NONE, backward=NONE, stiffness=[[1e-14]], weight=[[1.0]],
@@ -52,9 +54,17 @@ def retuned_of(likelihood, plausible=np.inf):
     return retuned(likelihood, likelihood.robot, np.zeros(len(likelihood.nuisances)), plausible)
 
 
-def recorded(robot, time, q_link, q_motor, command, reference):
-    """Return the Recording of angles as read and torques as asked for."""
+def driven(robot, nominal, gains, reference, time, *effects, **options):
+    """Return the Recording of a robot with effects, by the integrator of hidden robots."""
+    run = truth.simulate(replace(robot, effects=effects), nominal, gains, reference, seed=1,
+                         **options)
     return Recording(
-        joints=robot.joints, time=time, q_link=q_link, q_motor=q_motor, command=command,
-        tau_motor=np.vstack([np.zeros((1, 2)), command[:-1]]), reference=reference,
-        source='simulated')
+        joints=robot.joints, time=time, q_link=run.measured[:, 0], q_motor=run.measured[:, 2],
+        command=run.command, tau_motor=np.vstack([np.zeros((1, 2)), run.command[:-1]]),
+        reference=reference, source='simulated')
+
+
+def rms_left(motion, constants):
+    """Return the residual torque (2 n,) of a model in the middle of a Motion, rms [N m]."""
+    left = unexplained(motion, constants)[50:-50]
+    return np.sqrt(np.mean(uniform_filter1d(left, 10, axis=0) ** 2, axis=0))

@@ -3,7 +3,7 @@
 
 from dataclasses import replace
 
-from discrepancy_runs import driven_motion
+from discrepancy_runs import driven_motion, rms_left
 from gms_flex_control.discrepancy.motion import make_motion
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import cleared, drive_torque, unexplained
@@ -14,7 +14,6 @@ from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
-from scipy.ndimage import uniform_filter1d
 
 
 def test_the_rigid_body_along_a_path_is_that_of_inverse_dynamics():
@@ -69,9 +68,8 @@ def test_a_rotor_couples_through_a_rigid_joint_in_the_plant_as_in_the_fit(ideal_
         name='motor_inertia_coupling', joint='joint2', values=(0.005,)),))
     constants = plant.constants_of(robot)
     again = null_simulation(driven_motion(ideal_robot, gains), constants, np.random.default_rng(0))
-    with_it, without = (np.sqrt(np.mean(uniform_filter1d(
-        unexplained(again, one)[50:-50, 0], 10) ** 2)) for one in (
-            constants, plant.constants_of(replace(robot, effects=()))))
+    with_it, without = (rms_left(again, one)[0] for one in (
+        constants, plant.constants_of(replace(robot, effects=()))))
     assert with_it < 0.2 * without
 
 
@@ -81,9 +79,8 @@ def test_friction_acts_between_joint_and_base_along_a_motion_as_in_the_plant(ide
         name='base_flexibility', joint='joint1', values=(4.3, 0.35, 0.03)),))
     motion, constants = driven_motion(robot, gains), plant.constants_of(robot)
     again = null_simulation(motion, constants, np.random.default_rng(0))
-    still = plant.constants_of(ideal_robot)
-    with_it, without = (np.sqrt(np.mean(uniform_filter1d(
-        unexplained(again, one)[50:-50, 0], 10) ** 2)) for one in (constants, still))
+    with_it, without = (rms_left(again, one)[0]
+                        for one in (constants, plant.constants_of(ideal_robot)))
     assert with_it < 0.1 * without
 
 
@@ -106,9 +103,8 @@ def test_the_base_bends_under_the_torque_that_is_given(ideal_robot, gains):
     for effects in (both[:1], both):
         robot = replace(ideal_robot, effects=effects)
         motion, constants = driven_motion(robot, gains), plant.constants_of(robot)
-        for one in (motion, null_simulation(motion, constants, np.random.default_rng(0))):
-            left.append(np.sqrt(np.mean(uniform_filter1d(
-                unexplained(one, constants)[50:-50, 0], 10) ** 2)))
+        left += [rms_left(one, constants)[0] for one in (
+            motion, null_simulation(motion, constants, np.random.default_rng(0)))]
     assert max(left) < 1.5 * left[0]
 
 

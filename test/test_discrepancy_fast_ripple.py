@@ -3,9 +3,9 @@
 
 from dataclasses import replace
 
-from bench.hidden_robots import motions, truth
+from bench.hidden_robots import motions
 from core_runs import single_axis
-from discrepancy_runs import as_believed, driven_motion, recorded, retuned_of
+from discrepancy_runs import as_believed, driven, driven_motion, retuned_of
 from gms_flex_control.discrepancy import residual_views
 from gms_flex_control.discrepancy.fast_ripple import fast_ripples
 from gms_flex_control.discrepancy.likelihood import Likelihood
@@ -104,12 +104,9 @@ def test_an_error_of_the_gear_is_no_ripple(effect, values, expected, robot, gain
 def test_the_workflow_names_it_and_writes_it(robot, gains, tmp_path):
     """Two waves per turn of the generator of a gear of 160: they pass at 28 Hz, and at 80."""
     time, true_wave = np.arange(10_000) * 2e-3, (0.015, 320.0, 0.3)
-    hidden = replace(robot, effects=(EffectSpec(name='torque_ripple', joint='joint1',
-                                                values=true_wave),))
-    run = truth.simulate(hidden, robot, gains, motions.draw_reference(
-        np.random.default_rng(7), 'rich', 'soft', time), seed=1)
-    q_link, _, q_motor, _ = np.moveaxis(run.measured, 1, 0)
-    result = find_discrepancy([recorded(robot, time, q_link, q_motor, run.command, None)], robot)
+    reference = motions.draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
+    result = find_discrepancy([driven(robot, robot, gains, reference, time, EffectSpec(
+        name='torque_ripple', joint='joint1', values=true_wave))], robot)
     assert result.verdict == FOUND, result.words
     assert [(one.effect, one.joint) for one in result.findings] == [('torque_ripple', 'joint1')]
     assert result.findings[0].full_rate

@@ -73,7 +73,7 @@ def state_of_errors(torque, free, *effects):
         errors=Errors(torque, torque, free, float(np.sum(torque ** 2) * np.sum(free ** 2))))
 
 
-class Told(HeldOut):
+class Known(HeldOut):
     """Held-out data on which the errors of States are known."""
 
     def errors(self, state):
@@ -91,7 +91,7 @@ def test_an_effect_is_written_beside_known_parameters_as_given(monkeypatch):
     likelihood = SimpleNamespace(known=0, sd=np.ones(1), coulomb=np.ones(2),
                                  robot=SimpleNamespace(joints=('a', 'b')))
     found = SimpleNamespace(before=tuned, best=best, nuisances=None, tried=())
-    written, without = workflow._written(likelihood, found, found, Told(likelihood), [],
+    written, without = workflow._written(likelihood, found, found, Known(likelihood), [],
                                          {effect: True})
     assert written is beside
     assert without is given

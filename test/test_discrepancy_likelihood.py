@@ -22,6 +22,13 @@ def likelihood(robot, gains):
     return Likelihood([driven_motion(robot, gains, seed=1)], robot)
 
 
+@pytest.fixture(scope='module')
+def coarse(robot, gains):
+    """Return the Likelihood of a robot as believed, read through 8192 counts."""
+    read = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
+    return Likelihood([driven_motion(read, gains)], robot)
+
+
 GROUPS = np.repeat(np.arange(3), [50, 80, 100])
 
 
@@ -105,11 +112,10 @@ def test_slopes_are_the_derivative_of_the_cost():
 
 @pytest.mark.parametrize(('name', 'nuisance'), [
     ('motor_inertia_error', 'motor_inertia'), ('stiffness_error', 'stiffness')])
-def test_the_same_robot_costs_the_same_however_it_is_said(robot, gains, name, nuisance):
+def test_the_same_robot_costs_the_same_however_it_is_said(robot, coarse, name, nuisance):
     """An error of a parameter that its nuisance makes good leaves robot and cost as they are."""
-    coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
-    likelihood = Likelihood([driven_motion(coarse, gains)], robot)
-    ratio, index = -0.04, [one.name for one in likelihood.nuisances].index(nuisance)
+    likelihood, ratio = coarse, -0.04
+    index = [one.name for one in likelihood.nuisances].index(nuisance)
     x = np.zeros(len(likelihood.nuisances))
     plain = likelihood.fitted(robot, x)
     spec = EffectSpec(name=name, joint=robot.joints[likelihood.nuisances[index].joint],
@@ -126,23 +132,19 @@ def test_the_same_robot_costs_the_same_however_it_is_said(robot, gains, name, nu
     assert misfits[1] == pytest.approx(misfits[0], abs=0.1 * noise)
 
 
-def test_noise_is_foreseen_of_a_robot_without_what_null_simulations_have(robot, gains):
+def test_noise_is_foreseen_of_a_robot_without_what_null_simulations_have(robot, coarse):
     """A ratio of a ratio is no sum: an effect that is there is moved, not put in twice."""
-    coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
     spec = EffectSpec(name='link_inertia_error', joint=robot.joints[0], values=(0.4,))
-    likelihood = Likelihood([driven_motion(coarse, gains)], robot)
-    x = np.zeros(len(likelihood.nuisances))
-    heavy = likelihood.simulated_as(likelihood.fitted(with_effect(robot, spec), x))
+    x = np.zeros(len(coarse.nuisances))
+    heavy = coarse.simulated_as(coarse.fitted(with_effect(robot, spec), x))
     heavy.encoder_noise.learn(heavy, replace(spec, values=(0.1,)), [(0, (0.1,))])
     foreseen, exact = heavy.encoder_noise.along(robot, x), np.subtract(*heavy.of_pair(robot, x))
     assert np.std(foreseen - exact) < 0.01 * np.std(exact - heavy.encoder_noise.own)
 
 
-def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, gains):
+def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, coarse):
     """Three numbers determine what both links weigh, whatever payload and beliefs add up to."""
-    coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
-    likelihood = Likelihood([driven_motion(coarse, gains)], robot)
-    spec = EffectSpec(name='tip_payload', joint='arm', values=(0.1,))
+    likelihood, spec = coarse, EffectSpec(name='tip_payload', joint='arm', values=(0.1,))
     likelihood.encoder_noise.learn(likelihood, spec, [(0, (0.1,))])
     heavy = with_effect(robot, replace(spec, values=(0.3,)))
     bodies, carried = (plant.constants_of(one).chain.coupling for one in (robot, heavy))

@@ -5,11 +5,10 @@ from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
 from core_runs import single_axis
-from discrepancy_runs import as_believed, driven_motion
+from discrepancy_runs import as_believed, driven_motion, rms_left
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
-from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.assumed_robot import rigid_joints
@@ -18,7 +17,6 @@ from gms_flex_control.params.robot import EffectSpec, FrictionParams, StribeckPa
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
-from scipy.ndimage import uniform_filter1d
 
 
 def test_a_null_simulation_belongs_to_its_model_whatever_the_recording_held(ideal_robot, gains):
@@ -28,9 +26,7 @@ def test_a_null_simulation_belongs_to_its_model_whatever_the_recording_held(idea
     motion = driven_motion(replace(ideal_robot, effects=effects), gains)
     constants = plant.constants_of(ideal_robot)
     again = null_simulation(motion, constants, np.random.default_rng(0))
-    before, after = (np.sqrt(np.mean(uniform_filter1d(
-        unexplained(one, constants)[50:-50], 10, axis=0) ** 2, axis=0))
-        for one in (motion, again))
+    before, after = (rms_left(one, constants) for one in (motion, again))
     assert before[0] > 3e-3 and before[3] > 9e-3
     assert np.all(after < 0.1 * before.max())
     assert np.abs(again.samples.readings - motion.samples.readings)[:, 1].max() < 0.02

@@ -27,7 +27,7 @@ def blind(recording, joints=slice(None)):
     return replace(recording, q_link=q_link, dq_link=dq_link)
 
 
-def strayed(case, angle):
+def off_recorded(case, angle):
     """Return by how much link angles (T, n) differ from those recorded, of their motion (n,)."""
     inner = slice(500, -500)  # filters settle at both ends
     return (np.std((angle - case.recording.q_link)[inner], axis=0)
@@ -38,9 +38,9 @@ def strayed(case, angle):
 def test_the_link_is_where_its_encoder_saw_it(plant_name):
     case = make_case('clean', 3, plant=plant_name, duration=20.0)
     computed = with_links(blind(case.recording), case.truth.robot)
-    assert np.all(strayed(case, computed.q_link) < 0.02)
-    motors = strayed(case, case.recording.q_motor)
-    assert np.all(motors > 4.0 * strayed(case, computed.q_link))  # it is not just the motor's
+    assert np.all(off_recorded(case, computed.q_link) < 0.02)
+    motors = off_recorded(case, case.recording.q_motor)
+    assert np.all(motors > 4.0 * off_recorded(case, computed.q_link))  # it is not just the motor's
 
 
 def off_without_and_with_the_effect(case, error):

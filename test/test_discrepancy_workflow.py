@@ -7,8 +7,8 @@ import warnings
 from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.motions import draw_reference
 from bench.hidden_robots.plants import draw_belief, draw_robot
-from bench.hidden_robots.truth import Disturbance, simulate
-from discrepancy_runs import recorded
+from bench.hidden_robots.truth import Disturbance
+from discrepancy_runs import driven
 from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.describe import named as described
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
@@ -36,14 +36,6 @@ def outcome(kind, seed, most=2, **options):
     case = make_case(kind, seed, **{'duration': SHORT, **options})
     result = find_discrepancy([case.recording], case.nominal, Options(most=most))
     return case, result, (*result.findings, *result.minor)
-
-
-def driven(robot, nominal, gains, reference, time, *effects, **options):
-    """Return the Recording of a robot with effects, by the integrator of hidden robots."""
-    true = replace(robot, effects=effects)
-    motion = simulate(true, nominal, gains, reference, seed=1, **options)
-    q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
-    return recorded(robot, time, q_link, q_motor, motion.command, reference)
 
 
 @pytest.fixture(scope='module')

@@ -273,7 +273,7 @@ def sentences(kind, joint):
     """Return what is said of a joint whose friction is known."""
     robot, found = data(kind)
     thetas = [theta(robot, j) for j in range(2)]
-    return coupling_sentences(Objective(found.bundle, joint, thetas), found.bundle,
+    return coupling_sentences(Objective(found.bundle, joint, thetas),
                               thetas[joint], robot.joints, held_out(found.bundle.period))
 
 

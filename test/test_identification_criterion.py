@@ -43,7 +43,7 @@ def test_a_correction_of_the_arm_explains_the_torque_of_what_was_believed_wrongl
         coordinates, free = simple_free(np.array([COULOMB, COULOMB, VISCOUS, VISCOUS, correction]),
                                         1e-6)
         theta = coordinates.parameters(free)
-        error = TorqueError(Objective(bundle, 0, [theta]), bundle, everything, 1e-9)
+        error = TorqueError(Objective(bundle, 0, [theta]), everything, 1e-9)
         left[correction] = np.sqrt(np.mean(error(theta)[500:] ** 2))
     assert left[0.2 * INERTIA] < 0.1 * left[0.0]
 

@@ -26,8 +26,8 @@ def specs(*names):
 
 
 @cache
-def take(name, rigid):
-    """Return a take of slow and fast strokes of an axis that has an effect."""
+def recorded(name, rigid):
+    """Return a recording of slow and fast strokes of an axis that has an effect."""
     plan = plan_identification(
         {f'identification.{key}': value for key, value in PLAN.items()}, axis(rigid=rigid), GAINS)
     robot = replace(axis(rigid=rigid), effects=specs(name))
@@ -38,7 +38,7 @@ def steady_error(name, effects, rigid):
     """Return how far steady friction of fast strokes is from the truth, at worst over F_c."""
     robot = replace(axis(rigid=rigid), effects=effects,  # another spring may stand for one
                     uncertainty={('stiffness', JOINT): 1e-4})
-    (friction,) = Data([take(name, rigid)], (), believed_model(robot)).maps
+    (friction,) = Data([recorded(name, rigid)], (), believed_model(robot)).maps
     off = []
     for sign, truth in ((1.0, axis().friction.forward), (-1.0, axis().friction.backward)):
         kept = friction.steady & (sign * friction.velocity > 4.0 * truth.velocity[0])
@@ -59,7 +59,7 @@ def test_an_effect_that_is_named_does_not_end_in_the_friction(name, rigid):
 
 def test_errors_of_encoders_are_taken_off_the_readings():
     """A motor read late on a sinusoid, a link encoder off centre: what is left is the motion."""
-    base, _ = part(take('backlash', False), 0.0, 10.0)
+    base, _ = part(recorded('backlash', False), 0.0, 10.0)
     time = base.time
     q, late, off = np.sin(2.0 * time), 4e-3, 0.02 * np.sin(np.sin(2.0 * time) + 0.3)
     motor = q + 0.1
@@ -75,7 +75,7 @@ def test_errors_of_encoders_are_taken_off_the_readings():
 
 def test_a_late_encoder_is_cleared_where_its_motor_is_quick():
     """At 4 Hz 4 ms are a tenth of a radian: its square is a hundredth of the motion."""
-    base, _ = part(take('backlash', False), 0.0, 10.0)
+    base, _ = part(recorded('backlash', False), 0.0, 10.0)
     speed, late = 2.0 * np.pi * 4.0, 4e-3
     motor = 0.1 * np.sin(speed * base.time)
     recording = replace(base, q_link=motor[:, None],

@@ -105,9 +105,10 @@ def gain_of_truth(result, effect):
     likelihood = result.behind.likelihood
     try:
         nothing, own = retuned(likelihood, likelihood.robot, result.behind.before.x)
-        begin = likelihood.fitted(with_effect(likelihood.robot, effect), nothing.x)
-        with_it, without_it = (state_of(likelihood, *state, count_of(likelihood, ()))
-                               for state in (refitted(likelihood, begin, own), (nothing, own)))
+        begin = with_effect(likelihood.robot, effect)
+        with_it, without_it = (
+            state_of(likelihood, *state, count_of(likelihood, ()))
+            for state in (refitted(likelihood, begin, nothing.x, own), (nothing, own)))
     except _FAILURES:
         return None
     return with_it.evidence - without_it.evidence

@@ -173,7 +173,7 @@ def _fitted(likelihood, base, nuisances, dictionary, effects):
                          _HARDLY * spec.values[0], *spec.values[1:])))), key=lambda one: one.cost)
         columns = fitting.extended(likelihood, model, nuisances)
         left -= {spec.key}
-    model, columns = fitting.refitted(likelihood, model, nuisances)
+    model, columns = fitting.refitted(likelihood, model.robot, model.x, nuisances)
     numbers = fitting.numbers_of(likelihood, model.robot)
     prior = fitting.prior_of(likelihood, model, numbers)
     rows = fitting.informative(likelihood, model, columns)
@@ -328,6 +328,6 @@ def _state(likelihood, hypothesis, nuisances):
     """Return the State of a hypothesis, re-tuned from where the recordings so far left it."""
     known = dict(zip(nuisances, hypothesis.model.x, strict=True))
     x = np.array([known.get(one, 0.0) for one in likelihood.nuisances])
-    model = likelihood.fitted(hypothesis.model.robot, x)
-    columns = likelihood.columns(model)
-    return state_of(likelihood, *fitting.refitted(likelihood, model, columns, _ITERATIONS), 2)
+    robot = hypothesis.model.robot
+    columns = likelihood.columns(likelihood.fitted(robot, x))
+    return state_of(likelihood, *fitting.refitted(likelihood, robot, x, columns, _ITERATIONS), 2)

@@ -265,8 +265,8 @@ def is_of_other_size(likelihood, model, columns, hypotheses) -> bool:
     for i, spec in enumerate(model.robot.effects[likelihood.known:], start=likelihood.known):
         if find(spec.name).of_one_size:
             normal = NormalEquations(likelihood, model, columns)
-            least = normal.beside(
-                (model.rows - without(likelihood, model, columns, i)[0].rows)[None])
+            less = likelihood.fitted(without(model.robot, i), model.x)
+            least = normal.beside((model.rows - less.rows)[None])
             if (abs(least.added[0]) > OTHER_SIZE and normal.alone.cost - least.cost
                     > EVIDENCE + 2.0 * np.log(max(hypotheses, 2))):
                 return True

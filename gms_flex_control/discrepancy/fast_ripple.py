@@ -231,12 +231,12 @@ class _Equation:
         amplitude = float(np.hypot(sine, cosine))
         error = float(np.sqrt(after / len(self._errors) * np.trace(
             np.linalg.pinv(columns.T @ columns)[-2:, -2:]) / 2.0))
-        doubt = error / amplitude * np.sqrt(12.0) / self.span  # a line through the phase
+        of_order = error / amplitude * np.sqrt(12.0) / self.span  # a line through the phase
         middle = float(np.mean(np.concatenate(self._angles)))
         values = amplitude, order, float(np.arctan2(cosine, sine))
         return FastRipple(
-            EffectSpec(name=name, joint=joint, values=values), (error, doubt, float(np.hypot(
-                error / amplitude, middle * doubt))), amplitude / np.sqrt(2.0),
+            EffectSpec(name=name, joint=joint, values=values), (error, of_order, float(np.hypot(
+                error / amplitude, middle * of_order))), amplitude / np.sqrt(2.0),
             self.gain(orders, order), 1.0 - after / before,
             tuple(rms(np.concatenate(self._beside(there)))
                   for there in (orders, [*orders, order])))

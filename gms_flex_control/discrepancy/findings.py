@@ -122,7 +122,7 @@ def _lessened(likelihood, found, one, held_out):
     better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
     matters = bool(np.any(better >= thresholds.PRACTICAL))
     if not matters and held_out.other:
-        absent, _ = fitting.without(likelihood, state.model, state.columns, one.index)
+        absent = likelihood.fitted(fitting.without(state.model.robot, one.index), state.model.x)
         if np.all(held_out.action(state.model, absent)
                   < thresholds.PRACTICAL * likelihood.coulomb):
             return _lessened(likelihood, found, one, held_out.of_blocks)

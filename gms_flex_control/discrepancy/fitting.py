@@ -339,9 +339,9 @@ def with_white_noise(likelihood) -> tuple:
     return likelihood.with_noise(white_noise(likelihood, model)), model
 
 
-def refitted(likelihood, model, nuisances, iterations=8) -> tuple:
+def refitted(likelihood, robot, x, nuisances, iterations=8) -> tuple:
     """Return a Fitted, all effects fitted together, and columns; ``nuisances`` (P, R) are kept."""
-    model = fit(likelihood, model.robot, model.x, nuisances, iterations=iterations)
+    model = fit(likelihood, robot, x, nuisances, iterations=iterations)
     return model, extended(likelihood, model, nuisances)
 
 
@@ -351,11 +351,14 @@ def extended(likelihood, model, columns, first=None) -> np.ndarray:
     return np.concatenate([columns, effect_columns(likelihood, model, numbers)])
 
 
-def without(likelihood, model, columns, *dropped) -> tuple:
-    """Return a model less some of its effects, nothing re-tuned, and the columns of all else."""
-    effects = model.robot.effects
-    robot = replace(model.robot, effects=tuple(
-        spec for i, spec in enumerate(effects) if i not in dropped))
+def without(robot, *dropped) -> RobotParams:
+    """Return a robot without some of its effects (indices)."""
+    return replace(robot, effects=tuple(
+        spec for i, spec in enumerate(robot.effects) if i not in dropped))
+
+
+def columns_without(likelihood, model, columns, *dropped) -> np.ndarray:
+    """Return the columns of a model but those by numbers of some of its effects (indices)."""
     numbers = numbers_of(likelihood, model.robot)
     own = [len(model.x) + k for k, one in enumerate(numbers) if one.effect in dropped]
-    return likelihood.fitted(robot, model.x), np.delete(columns, own, axis=0)
+    return np.delete(columns, own, axis=0)

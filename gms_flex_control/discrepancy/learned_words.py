@@ -12,15 +12,7 @@ from scipy.optimize import least_squares
 _POINTS = 400         # of a curve that is described
 _SIMPLER = 1.3        # times the least error, at which a formula of fewer numbers is preferred
 _STEEP = 0.05         # of the range: a tanh that is less wide is a step
-_TOLD = 0.02          # of the largest weight: others are not mentioned
-_UNITS = {'learned_rate_friction': 'rad/s', 'learned_load_friction': 'N m', 'learned_drift': 's'}
-_WHAT = {'learned_position': ('a torque over the link angle', 'that looks like'),
-         'learned_torsion': ('a torque over the torsion', 'that looks like'),
-         'learned_rate_friction': ('a friction over the speed', 'that looks like'),
-         'learned_position_friction': ('a friction over the link angle', 'that looks like'),
-         'learned_position_drag': ('a friction over the link angle', 'that looks like'),
-         'learned_load_friction': ('a friction over the torque carried', 'that looks like'),
-         'learned_drift': ('a relative change of friction over time', 'that looks like')}
+_LEAST = 0.02         # of the largest weight: others are not mentioned
 
 
 class Formula(NamedTuple):
@@ -100,21 +92,23 @@ def described(spec, span, arm) -> tuple[str, float]:
     what that leaves over rms of the curve. ``span`` are lowest and highest value of its variable
     in the recordings; of no curve it is None, and the error NaN.
     """
-    if span is None:
-        return in_units(arm, _of_elements(spec)), np.nan
-    formula, (what, like) = formula_of(*curve_of(spec, span)), _WHAT[spec.name]
-    unit = _UNITS.get(spec.name, 'rad')
-    error = f'{100.0 * formula.error:.0f} % of it rms'
-    return in_units(arm, f'{what} of {spec.joint} {like} {_in_words(formula, unit, spec.name)} '
-                    f'(error {error})'), formula.error
+    kind = shapes.LEARNED[spec.name]
+    variable = kind.variable()
+    if not variable:
+        return in_units(arm, _of_elements(spec, kind)), np.nan
+    formula = formula_of(*curve_of(spec, span))
+    like = _in_words(formula, kind.parameters[shapes.KNOTS].unit, kind.parameters[0].unit == '1')
+    return in_units(arm, f'{kind.what} over {"the " * (variable != "time")}{variable} of '
+                    f'{spec.joint} that looks like {like} (error {100.0 * formula.error:.0f} % of '
+                    'it rms)'), formula.error
 
 
-def _of_elements(spec):
+def _of_elements(spec, kind):
     """Return a term that is no curve in words."""
-    count = shapes.LEARNED[spec.name].count
+    count = kind.count
     weights = np.array(spec.values[:count])
-    places = np.geomspace(*spec.values[count:count + 2], count)[weights > _TOLD * weights.max()]
-    if spec.name == 'learned_hysteresis':
+    places = np.geomspace(*spec.values[count:count + 2], count)[weights > _LEAST * weights.max()]
+    if kind.parameters[0].unit == 'N m':
         torque, angle = torque_scale(weights.sum()), angle_scale(places)
         return (f'a hysteresis of {spec.joint} of {torque.text(weights.sum())} {torque.unit} '
                 f'in all, of elements that yield at {", ".join(map(angle.text, places))} '
@@ -123,10 +117,10 @@ def _of_elements(spec):
             f'{", ".join(f"{one:.3g}" for one in places)} Hz')
 
 
-def _in_words(formula, unit, name):
-    """Return a formula in words, its place in a unit."""
+def _in_words(formula, unit, is_relative):
+    """Return a formula in words, its place in a unit, its size a torque unless relative."""
     def size(value):
-        if name == 'learned_drift':
+        if is_relative:
             return f'{100.0 * value:.3g} %'
         scale = torque_scale(value)
         return f'{scale.text(value)} {scale.unit}'

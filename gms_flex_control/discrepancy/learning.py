@@ -39,11 +39,6 @@ _REACH = 1e-3         # of the range of angles, from rest to sliding
 _COUNTS = 4.0         # of the encoder, likewise
 _STILL = 3e-3, 0.03   # of the rms of the rate: so slow is nearly at rest
 _FREQUENCIES, _DAMPING = (2.0, 16.0), 0.05  # of a resonance [Hz], [1]
-_CURVES = {  # of which variable each is a curve
-    'learned_position': 'angle', 'learned_position_friction': 'angle',
-    'learned_position_drag': 'angle',
-    'learned_rate_friction': 'speed', 'learned_torsion': 'torsion',
-    'learned_load_friction': 'load', 'learned_drift': 'time'}
 
 
 class _Candidate(NamedTuple):
@@ -190,7 +185,7 @@ class _Learning:
         """Return what the term of a candidate looks like, and the error of that."""
         robot = self.likelihood.robot
         ranges = self._ranges[robot.joints.index(one.spec.joint)]
-        return described(one.spec, ranges.get(_CURVES.get(one.spec.name)), robot.arm)
+        return described(one.spec, ranges.get(shapes.LEARNED[one.spec.name].variable()), robot.arm)
 
     def _gain(self, one, state):
         """Return the Gain of a candidate on blocks left out, over the model without it."""
@@ -226,7 +221,7 @@ class _Learning:
             if spec.key in there:
                 continue
             here = [self._fitted(state, spec)]
-            if _used(spec) == shapes.KNOTS and _CURVES[spec.name] != 'time':
+            if _used(spec) == shapes.KNOTS and shapes.LEARNED[spec.name].variable() != 'time':
                 for zoom in _ZOOMS:
                     here.append(self._fitted(state, _window(here[-1].spec, spec, zoom)))
                     if here[-1].state.evidence < here[-2].state.evidence:
@@ -276,9 +271,9 @@ def _ranges(likelihood, j):
         lambda one: one.states[:, 3, j] - one.states[:, 0, j], lambda one: one.drive[:, j],
         lambda one: one.time))
     found = {name: tuple(np.quantile(values, (_OFF, 1.0 - _OFF)).tolist()) for name, values in (
-        ('angle', angle), ('torsion', torsion), ('time', time))}
+        ('link angle', angle), ('torsion', torsion), ('time', time))}
     load = drive if likelihood.robot.arm.rigid[j] else stiffness * torsion
-    for name, values in (('speed', speed), ('load', np.abs(load))):
+    for name, values in (('speed', speed), ('torque carried', np.abs(load))):
         found[name] = 0.0, float(np.quantile(values, 1.0 - _OFF))
     return found
 
@@ -286,20 +281,20 @@ def _ranges(likelihood, j):
 def _specs(likelihood, j, ranges):
     """Return all terms of joint j with weights of zero, EffectSpec each."""
     robot, joint, found = likelihood.robot, likelihood.robot.joints[j], []
-    lowest, highest = ranges['angle']
+    lowest, highest = ranges['link angle']
     span, rigid = highest - lowest, robot.arm.rigid[j]
     turns = robot.arm.axes == 'rotary' and span > 2.0 * np.pi
     further = {
         'learned_hysteresis': [tuple(share * span for share in _YIELDS)],
         'learned_resonance': [(*_FREQUENCIES, _DAMPING)]}
     for name, kind in shapes.LEARNED.items():
-        if rigid and name == 'learned_torsion':
+        variable, rest = kind.variable(), further.get(name)
+        if rigid and variable == 'torsion':
             continue
-        rest = further.get(name)
         if rest is None:
-            repeats = turns and _CURVES[name] == 'angle'
+            repeats = turns and variable == 'link angle'
             rest = [(*((0.0, 2.0 * np.pi, shapes.REPEATS) if repeats else (
-                *ranges[_CURVES[name]], shapes.FLAT_BEYOND)), float(knots))
+                *ranges[variable], shapes.FLAT_BEYOND)), float(knots))
                 for knots in (*_COARSE, shapes.KNOTS)]
         scales, last = likelihood.scales_of(joint), kind.parameters[-1].name
         ways = {'reach': (max(_REACH * span, _COUNTS * scales.count),),
@@ -311,8 +306,8 @@ def _specs(likelihood, j, ranges):
 
 def _used(spec):
     """Return how many weights of a term are in use."""
-    return int(spec.values[shapes.USED] if spec.name in _CURVES else shapes.LEARNED[
-        spec.name].count)
+    kind = shapes.LEARNED[spec.name]
+    return int(spec.values[shapes.USED] if kind.variable() else kind.count)
 
 
 def _window(fitted, whole, share):

@@ -21,8 +21,9 @@ import numpy as np
 
 _BINS = 24
 _PERIODS = 8          # fewer in a recording are no tone
-VARIABLES = ('time', 'link angle', 'motor angle', 'link rate', 'motor rate', 'torsion', 'torque',
-             'link acceleration', 'time since reversal')
+VARIABLES = {'time': 's', 'link angle': 'rad', 'motor angle': 'rad', 'link rate': 'rad/s',
+             'motor rate': 'rad/s', 'torsion': 'rad', 'torque': 'N m',
+             'link acceleration': 'rad/s^2', 'time since reversal': 's'}  # and their units
 _KNOTS = 20           # of a function, even in the samples
 _OF_TIME = 12         # likewise, of time, at most
 # not of torque: a function of it may shrink the whole equation
@@ -108,10 +109,11 @@ def signature_of(likelihood, model, share, free=None, among=None) -> Signature:
     is left.
     """
     joints, n = likelihood.robot.joints, likelihood.robot.n_joints
+    torque = likelihood.torque(model)
     if free is not None:
         scale, variable = torque_scale(free.torque), free.variable
         column = joints.index(free.joint) + n * (free.equation == 'motor')
-        left = np.concatenate([one[:, column] for one in likelihood.torque(model)])
+        left = np.concatenate([one[:, column] for one in torque])
         if variable == 'time' and np.mean(left) ** 2 > 0.5 * np.mean(left ** 2):
             variable = 'constant'
         return Signature(
@@ -124,10 +126,9 @@ def signature_of(likelihood, model, share, free=None, among=None) -> Signature:
         excess[~np.tile(np.isin(joints, among), 2)] = -1.0
     channel = int(np.argmax(excess))
     equation, j = ('link', channel) if channel < n else ('motor', channel - n)
-    squares = [np.mean(left[:, channel] ** 2) for left in likelihood.torque(model)]
-    worst = int(np.argmax(squares))
+    worst = int(np.argmax([np.mean(left[:, channel] ** 2) for left in torque]))
     motion, whitening = likelihood.motions[worst], likelihood.whitenings[worst]
-    residual = likelihood.torque(model)[worst][:, channel]
+    residual = torque[worst][:, channel]
     at = np.clip(np.searchsorted(motion.time - motion.time[0], whitening.time), 0,
                  len(motion.time) - 1)
     shares = {name: _predicted_by(name, values[at], residual, whitening.row_period)

@@ -12,11 +12,7 @@ from gms_flex_control.effects.registry import find
 import numpy as np
 from scipy.special import stdtrit
 
-VARIABLES = remainder.VARIABLES
-UNITS = {'time': 's', 'link angle': 'rad', 'motor angle': 'rad', 'link rate': 'rad/s',
-         'motor rate': 'rad/s', 'torsion': 'rad', 'torque': 'N m',
-         'link acceleration': 'rad/s^2', 'time since reversal': 's', 'direction': '',
-         'distance since reversal': 'rad'}
+UNITS = remainder.VARIABLES | {'direction': '', 'distance since reversal': 'rad'}
 BINS = 36
 _LEAST = 6            # samples of a bin
 _MOVING = 0.05        # of the rms rate: slower is at rest
@@ -217,7 +213,7 @@ def _shown_over(along, spec, own, j):
         factors.append((np.sign(rate) * moving, 'the direction of motion'))
     tried = []
     for i, joint in enumerate(along.joints):
-        for name in VARIABLES:
+        for name in remainder.VARIABLES:
             values = along.variables(i)[name]
             x, label = _folded(spec, name, values)
             label = label if i == j else label.replace(name, f'{name} of {joint}')

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of
 from gms_flex_control.discrepancy.evidence import is_of_other_size, State, state_of
 from gms_flex_control.discrepancy.fitting import (
+    columns_without,
     extended,
     fit,
     is_at_limit,
@@ -142,7 +143,8 @@ class _Search:
 
     def _take(self, model):
         """Go on with a model, its effects fitted together."""
-        self.best = self._tried(*refitted(self._likelihood, model, self.nuisances))
+        self.best = self._tried(*refitted(
+            self._likelihood, model.robot, model.x, self.nuisances))
 
     def take_up(self, begin) -> None:
         """Go on with the likeliest of the sets that another search found likeliest."""
@@ -228,7 +230,7 @@ class _Search:
                 break
             x = model.x
             nuisances = likelihood.columns(model)
-            state = max(state, self._tried(*refitted(likelihood, model, nuisances)),
+            state = max(state, self._tried(*refitted(likelihood, model.robot, x, nuisances)),
                         key=lambda one: one.evidence)
             model = state.model
         return state
@@ -248,13 +250,13 @@ class _Search:
     def _instead_of(self, *dropped):
         """Try a model without some effects, and with another in their place."""
         likelihood, model = self._likelihood, self.best.model
-        less, others = without(likelihood, model, self.best.columns, *dropped)
-        anything = fit(likelihood, less.robot, model.x, others)
+        robot = without(model.robot, *dropped)
+        others = columns_without(likelihood, model, self.best.columns, *dropped)
+        anything = fit(likelihood, robot, model.x, others)
         states = [self._tried(anything, others)]
         less = anything if is_within(likelihood, anything, PLAUSIBLE) else fit(
-            likelihood, less.robot, model.x, others, plausible=PLAUSIBLE)
-        loss, keys = less.cost - model.cost, {
-            (model.robot.effects[i].name, model.robot.effects[i].joint) for i in dropped}
+            likelihood, robot, model.x, others, plausible=PLAUSIBLE)
+        loss, keys = less.cost - model.cost, {model.robot.effects[i].key for i in dropped}
         for one in self.dictionary.ranked(less, others, PLAUSIBLE)[:_SHORTLIST]:
             other = one.gain >= _NEARLY * loss and one.key not in keys and self._with(
                 one.spec, less, others)
@@ -270,4 +272,4 @@ class _Search:
         model = self.best.model
         if len(model.robot.effects) > self._known:
             self.nuisances = self._likelihood.columns(model)
-            self.best = self._tried(*refitted(self._likelihood, model, self.nuisances))
+            self._take(model)

@@ -56,7 +56,8 @@ def _worth_of(likelihood, found, i, whole):
     """Return what the i-th effect is worth in a model that predicts blocks so well, (B,)."""
     model, columns = found.best.model, found.best.columns
     spec = model.robot.effects[i]
-    less, others = fitting.without(likelihood, model, columns, i)
+    less = likelihood.fitted(fitting.without(model.robot, i), model.x)
+    others = fitting.columns_without(likelihood, model, columns, i)
     change = less.rows - model.rows
     own, loss = _beside(likelihood, model, less, others, change)
     anything, limit = fitting.fit(likelihood, less.robot, model.x, others), plausible_limit(
@@ -131,10 +132,10 @@ def dropped(likelihood, found, index) -> Found:
 
 def with_fewer(likelihood, found, *dropped) -> State:
     """Return the State of a search's end without effects (indices), all else re-tuned."""
-    # derivatives anew: much may move
-    less, _ = fitting.without(likelihood, found.best.model, found.best.columns, *dropped)
-    return state_of(likelihood, *fitting.refitted(likelihood, less, found.nuisances),
-                    found.hypotheses)
+    model = found.best.model
+    return state_of(likelihood, *fitting.refitted(  # derivatives anew: much may move
+        likelihood, fitting.without(model.robot, *dropped), model.x, found.nuisances),
+        found.hypotheses)
 
 
 def _tried_without(likelihood, found, spec):
@@ -150,18 +151,18 @@ def timed(likelihood, found) -> Found:
     """
     for i in range(likelihood.known, len(found.best.model.robot.effects)):
         model = found.best.model
-        spec = model.robot.effects[i]
-        for name in find(spec.name).similar if find(spec.name).of_feedback else ():
+        effects = model.robot.effects
+        spec, late = effects[i], find(effects[i].name)
+        for name in late.similar if late.of_feedback else ():
             kind = find(name)
             other = replace(spec, name=name, values=(
                 min(spec.values[0], kind.parameters[0].upper),))
-            rest = model.robot.effects[:i] + model.robot.effects[i + 1:]
-            if (kind.whole_arm != find(spec.name).whole_arm or not kind.of_feedback
-                    or not may_join(other, replace(model.robot, effects=rest),
-                                    likelihood.known)):
+            if (kind.whole_arm != late.whole_arm or not kind.of_feedback
+                    or not may_join(other, fitting.without(model.robot, i), likelihood.known)):
                 continue
-            swapped, columns = fitting.refitted(likelihood, likelihood.fitted(
-                _instead(model.robot, i, other), model.x), found.nuisances)
+            swapped, columns = fitting.refitted(likelihood, replace(
+                model.robot, effects=(*effects[:i], other, *effects[i + 1:])), model.x,
+                found.nuisances)
             own, instead = prediction_cost(likelihood, [
                 (one.robot, one.x) for one in (model, swapped)], spec.joint)
             if instead < own - EVIDENCE - 2.0 * np.log(found.hypotheses):
@@ -170,8 +171,3 @@ def timed(likelihood, found) -> Found:
                     likelihood, found, spec)))
                 break
     return found
-
-
-def _instead(robot, i, spec):
-    """Return a robot with another in the place of its i-th effect."""
-    return replace(robot, effects=(*robot.effects[:i], spec, *robot.effects[i + 1:]))

@@ -92,6 +92,13 @@ class Learned(Term):
     count = KNOTS
     written = True            # belongs into a robot file
     size = 'friction'         # usual size of a weight, of effects.base.Scales
+    what = 'a friction'       # in words, of a curve
+
+    @classmethod
+    def variable(cls) -> str:
+        """Return the variable of its curve, '' of a term that has no curve."""
+        return (cls.parameters[KNOTS].description.removeprefix('lowest ')
+                if cls.count == KNOTS else '')
 
     @classmethod
     def guesses(cls, scales) -> list:
@@ -110,6 +117,7 @@ class LearnedPosition(Learned):
 
     name = 'learned_position'
     stage = Stage.LINK
+    what = 'a torque'
     evidence = 'link angle'
     fed_forward = True
     parameters = _curve('rad', 'link angle')
@@ -124,6 +132,7 @@ class LearnedTorsion(Learned):
 
     name = 'learned_torsion'
     stage = Stage.SPRING
+    what = 'a torque'
     evidence = 'torsion'
     parameters = _curve('rad', 'torsion')
 
@@ -258,6 +267,7 @@ class LearnedDrift(Learned):
     evidence = 'time'
     written = False
     size = ''
+    what = 'a relative change of friction'
     parameters = _curve('s', 'time', -0.8, 4.0, '1')
 
     @staticmethod

@@ -132,20 +132,6 @@ def plain_friction(rate) -> np.ndarray:
     return np.stack([np.sign(rate), rate], axis=1)
 
 
-class Temperatures(NamedTuple):
-    """Labels of the recordings: those of one label have the same friction."""
-
-    labels: tuple
-    of: np.ndarray  # (R,), index of each recording's label
-
-
-def temperatures_of(recordings) -> Temperatures:
-    """Return the Temperatures of recordings."""
-    found = [one.operation.temperature for one in recordings]
-    labels = tuple(dict.fromkeys(found))
-    return Temperatures(labels, np.array([labels.index(one) for one in found]))
-
-
 class Layout(NamedTuple):
     """Where each kind of unknown stands among all of them (P,), and what it is of."""
 

@@ -25,7 +25,6 @@ from gms_flex_control.identification.arm_differences import (
     found_load,
     layout_of,
     relative_change,
-    temperatures_of,
     Unknowns,
 )
 from gms_flex_control.identification.arm_rows import described_scales, rows_of
@@ -138,7 +137,9 @@ class ArmRegression:
                  friction=None, spring_sd=0.0):
         self._robot, self._arm, self._base = robot, arm, base
         self._sources, self._sides = [one.source for one in recordings], sides
-        self._temperatures = temperatures_of(recordings)
+        temperatures = [one.operation.temperature for one in recordings]
+        self._labels = tuple(dict.fromkeys(temperatures))  # those alike have the same friction
+        self._label = np.array([self._labels.index(one) for one in temperatures])
         self._rows, self._usual = rows_of(recordings, robot, sides, arm, base.lead, [
             carrying(slopes_of or arm, (loads or {}).get(r, one.operation.load))
             for r, one in enumerate(recordings)], friction)
@@ -170,9 +171,9 @@ class ArmRegression:
         recording = rows.recording[chosen]
         friction = rows.friction[chosen, j]
         columns.append(friction)
-        for k in range(1, len(self._temperatures.labels)):
+        for k in range(1, len(self._labels)):
             # alike in both directions: an offset is another
-            columns.append(alike(friction) * (self._temperatures.of[recording] == k)[:, None])
+            columns.append(alike(friction) * (self._label[recording] == k)[:, None])
         for r in range(1, len(self._at.zeros)):
             columns.append((recording == r)[:, None].astype(float))
         if self._loaded[j]:
@@ -217,23 +218,29 @@ class ArmRegression:
         if len(self._base.lead):
             self._memory = max(self._scatter()[2], self._memory)
             self._iterate()
-        left = [self._left(j) for j in range(len(self._at.scale))]
-        self._loaded = np.array([
-            value > max(_LOADED * error, _ADDS) for value, error in map(self._tried_load, left)])
+        self._loaded = np.array([value > max(_LOADED * error, _ADDS) for value, error in map(
+            self._tried_load, range(len(self._at.scale)))])
         if self._loaded.any():
             self._iterate()
 
-    def _tried_load(self, left):
+    def _tried_load(self, j):
         """Return what friction adds per torque carried at one joint, and its standard error."""
-        j, torque, rows = left
+        left, rows = self._left(j)
         columns = np.concatenate([self._load_column(j)[rows, None], self._own(j, rows)], axis=1)
-        return first_coefficient(columns, torque, self._rows.block[rows], _MEMORY)
+        return first_coefficient(columns, left, self._rows.block[rows], _MEMORY)
 
     def _left(self, j):
-        """Return a joint, where it moves the torque its links do not explain, and these rows."""
+        """Return the torque that links do not explain where a joint moves, and these rows."""
         rows = self._last.moving[j]
         left = self._rows.torque[:, j] - self._at.scale[j] * self._torque()[:, j]
-        return j, left[rows], rows
+        return left[rows], rows
+
+    def _coefficients(self, j, used=slice(None)):
+        """Return those of the columns ``used`` of a joint's own, and what these leave."""
+        left, rows = self._left(j)
+        own = self._own(j, rows)[:, used]
+        values = np.linalg.lstsq(own, left, rcond=1e-10)[0]
+        return values, left - own @ values
 
     def _iterate(self):
         rows, layout, at = self._rows, self._layout, self._at
@@ -361,8 +368,7 @@ class ArmRegression:
         names, own = names_of(robot.joints, rigid), self._last.normal[links, links]
         size, offset = 1.0 / np.sqrt(np.diag(own)), np.empty(n)
         for j in range(n):
-            _, left, rows = self._left(j)
-            friction = np.linalg.lstsq(self._own(j, rows), left, rcond=1e-10)[0]
+            friction, _ = self._coefficients(j)
             offset[j] = 0.5 * (friction[0] - friction[4]) / self._at.scale[j]
         return BaseFit(
             tuple(names[k] for k in self._base.lead),
@@ -381,22 +387,20 @@ class ArmRegression:
         scale_sd[self._layout.free] = error[self._layout.scales]
         zero_sd[1:] = error[self._layout.zeros].reshape(zero_sd[1:].shape)
         offset, loaded = np.zeros(self._at.zeros.shape), np.zeros((2, n))
-        labels = self._temperatures.labels
+        labels = self._labels
         level, change = np.ones((len(labels), n)), np.zeros((len(labels), n, 4))
         for j in range(n):
-            _, left, moving = self._left(j)
-            own = self._own(j, moving)
-            values = np.linalg.lstsq(own, left, rcond=1e-10)[0]
+            values, _ = self._coefficients(j)
             at = 4 + 4 * len(labels)
             offset[1:, j] = values[at:at + len(offset) - 1]
             change[1:, j] = values[8:at].reshape(-1, 4)
             level[1:, j] = 1.0 + relative_change(
-                rows.friction[:, j], rows.rate[:, j], self._temperatures.of[rows.recording],
+                rows.friction[:, j], rows.rate[:, j], self._label[rows.recording],
                 values[:8], change[1:, j])
             if self._loaded[j]:
                 self._loaded[j] = False
-                loaded[:, j] = self._tried_load((j, left, moving))
+                loaded[:, j] = self._tried_load(j)
                 self._loaded[j] = True
         return Differences(self._at.scale, scale_sd, self._prior_sd, self._at.zeros, zero_sd,
-                           offset, labels, level, change[self._temperatures.of], self._usual,
+                           offset, labels, level, change[self._label], self._usual,
                            *loaded, self.loads(), self._found_coupled())

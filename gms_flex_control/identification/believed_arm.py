@@ -180,19 +180,11 @@ class _WithinBelief(ArmRegression):
         late = np.zeros(len(self._sides))
         for j in np.flatnonzero(np.array(self._sides) == 'motor'):
             values, left = self._coefficients(j)
-            if rms(left) < _SHOWN * rms(self._coefficients(j, in_time=True)[1]):
+            in_time = self._coefficients(j, slice(-1))[1]  # without the delay of the torque
+            if rms(left) < _SHOWN * rms(in_time):
                 late[j] = values[-1]
         return late
 
     def _unexplained(self):
         """Return rms torques (n,) that neither links nor friction explain [N m]."""
         return np.array([rms(self._coefficients(j)[1]) for j in range(len(self._sides))])
-
-    def _coefficients(self, j, in_time=False):
-        """Return those of a joint's own columns, the last by the delay, and what these leave."""
-        _, left, rows = self._left(j)
-        own = self._own(j, rows)
-        if in_time:  # without the delay of a motor's torque
-            own = own[:, :-1]
-        values = np.linalg.lstsq(own, left, rcond=1e-10)[0]
-        return values, left - own @ values

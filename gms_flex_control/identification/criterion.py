@@ -114,7 +114,7 @@ class _Criteria:
     """Fits of one joint beside the simple one, ``fit`` by the innovations."""
 
     def __init__(self, bundle, joint, thetas, fit, step):
-        self._bundle, self._fit, self._step = bundle, fit, step
+        self._fit, self._step = fit, step
         self._objective_of = lambda chosen: Objective(bundle, joint, thetas, chosen)
         self._objective = Objective(bundle, joint, thetas)
         first, *others = _trials(bundle)
@@ -129,7 +129,7 @@ class _Criteria:
                      if self._moves(look.fitted) and self._moves(look.out))
 
     def _moves(self, chosen):
-        joint, bundle = self._objective.joint, self._bundle
+        joint, bundle = self._objective.joint, self._objective.bundle
         return any((chosen(segment) & bundle.judged(segment, joint, self._step)).any()
                    for segment in bundle.segments)
 
@@ -182,7 +182,7 @@ class _Criteria:
         Its one block is as stiff as suits torque and free motion together: too soft it lags
         behind a reversal, too stiff for the samples it chatters.
         """
-        plain = coulomb_viscous(self._objective, self._bundle, self._step, look.fitted)
+        plain = coulomb_viscous(self._objective, self._step, look.fitted)
         tried = [simple_free(plain, factor * self._step) for factor in _YIELDS]
         found = [np.nanprod(_errors([self._squares(look, *pair)])) for pair in tried]
         return tried[int(np.argmin(found))]
@@ -220,10 +220,10 @@ class _Criteria:
         theta, error = coordinates.parameters(free), self._error(look.out)
         return _Squares(
             np.bincount(error.block, error(theta) ** 2) / len(error.block),
-            free_run_error(self._objective, self._bundle, theta, look.out) ** 2)
+            free_run_error(self._objective, theta, look.out) ** 2)
 
     def _error(self, chosen):
-        return TorqueError(self._objective, self._bundle, chosen, self._step)
+        return TorqueError(self._objective, chosen, self._step)
 
 
 def _trials(bundle):

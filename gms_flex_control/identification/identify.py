@@ -330,22 +330,21 @@ class Data:
                                    np.geomspace(1e-4 * top, top, _VELOCITIES)])
         estimates = estimates_of(
             self.robot.joints[joint], fit.coordinates, fit.free, spread,
-            presliding_reach(bundle, joint, theta), travel(bundle.segments, joint), fit.rivals,
-            top=top)
+            presliding_reach(objective, theta), travel(bundle.segments, joint), fit.rivals, top)
         curve = curve_of(fit, spread, shown_displacements(
             estimates, theta[STATICS].mean(), self.step[joint], _CURVE_POINTS))
         return JointResult(
             joint=self.robot.joints[joint], side=self.sides[joint], estimates=estimates + further,
             curve=curve, friction_map=self.maps[joint], steady_velocity=velocity,
             steady_torque=steady_friction(velocity[:, None], _friction_params([fit]))[:, 0],
-            loops=loops_of(objective, bundle, theta),
-            traces=traces_of(objective, bundle, theta, held_out(bundle.period)),
+            loops=loops_of(objective, theta),
+            traces=traces_of(objective, theta, held_out(bundle.period)),
             candidates=tuple(one._replace(chosen=one.n_blocks == fit.coordinates.n_blocks)
                              for one in fit.candidates),
             held_out=self._errors(joint, fits), warnings=self._sentences(joint, fit, objective))
 
     def _sentences(self, joint, fit, objective):
-        coupled = coupling_sentences(objective, self.bundle, fit.theta, self.robot.joints,
+        coupled = coupling_sentences(objective, fit.theta, self.robot.joints,
                                      held_out(self.bundle.period), self._apart,
                                      self.described.arm.frames is not None)
         return (*self.choices[joint].sentences, *few_blocks(fit), *coupled)
@@ -358,7 +357,7 @@ class Data:
             theta, chosen = fit.theta, everything
         simple = simple_theta(self.bundle, joint, fits, self.step[joint], bool(self._apart))
         return held_out_errors(
-            Objective(bundle, joint, [one.theta for one in fits]), bundle, theta, simple, chosen,
+            Objective(bundle, joint, [one.theta for one in fits]), theta, simple, chosen,
             self.step[joint], repeatability(self.bundle.segments, self.robot.arm, joint,
                                             self.bundle.period, self.bundle.half[joint]))
 

@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import low_pass, rms
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
-from gms_flex_control.identification.friction_map import friction_torque
-from gms_flex_control.identification.objective import block_length, Bundle, Evaluation, Objective
+from gms_flex_control.identification.objective import block_length, Evaluation, Objective
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -125,17 +124,16 @@ def summed(evaluation: Evaluation, free, prior: Prior) -> tuple[np.ndarray, np.n
 class TorqueError:
     """Torque that parameters leave unexplained along the motion of ``chosen`` samples (T,)."""
 
-    def __init__(self, objective: Objective, bundle: Bundle, chosen: Callable, step: float):
-        self._objective, joint, blocks, used = objective, objective.joint, [], 0
+    def __init__(self, objective: Objective, chosen: Callable, step: float):
+        self._objective, bundle, blocks, used = objective, objective.bundle, [], 0
         self._pieces = []  # (Segment, its friction torque by the link equation, where it counts)
         for segment in bundle.segments:
-            counts = chosen(segment) & bundle.judged(segment, joint, step)
+            counts = chosen(segment) & bundle.judged(segment, objective.joint, step)
             block = used + np.arange(len(counts)) // block_length(bundle.period)
             used = block[-1] + 1
             if counts.any():
                 blocks.append(block[counts])
-                self._pieces.append((
-                    segment, friction_torque(segment, bundle.arm)[:, joint], counts))
+                self._pieces.append((segment, objective.measured(segment), counts))
         self.block = np.unique(np.concatenate(blocks), return_inverse=True)[1]
         self.measured = np.concatenate([torque[counts] for _, torque, counts in self._pieces])
         self.memory = max(_MEMORY / bundle.period,

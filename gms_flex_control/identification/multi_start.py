@@ -77,7 +77,7 @@ def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, steps: Se
         say('fitting each joint')
         training = [Objective(rough, j, thetas, train(rough.period)) for j in joints]
         thetas = list(pool.map(_spread, training, starts, extras))
-        by_torque = list(pool.map(_by_torque, training, repeat(rough), thetas, steps))
+        by_torque = list(pool.map(_by_torque, training, thetas, steps))
         thetas = _better(pool, rough, (by_torque, thetas))
         fits = list(pool.map(lambda j: fit_joint(rough, j, thetas, blocks), joints))
         say('refining each joint, the others as they were found')
@@ -125,14 +125,14 @@ def _spread(objective, start, extra):
     return coordinates.parameters(best.free)
 
 
-def _by_torque(objective, bundle, theta, step):
+def _by_torque(objective, theta, step):
     """
     Return the parameters of as many blocks as there may be that explain the torque best.
 
     Motion that was measured moves all joints here, whatever friction the others are taken to have.
     """
-    error = TorqueError(objective, bundle, train(bundle.period), step)
-    reach = travel(bundle.segments, objective.joint)
+    error = TorqueError(objective, train(objective.bundle.period), step)
+    reach = travel(objective.bundle.segments, objective.joint)
     for _ in range(_TORQUE_FITS):
         coordinates, free = equal_blocks(theta, MOST_BLOCKS)
         found = coordinates.parameters(

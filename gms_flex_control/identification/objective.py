@@ -9,6 +9,7 @@ from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
+from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.segments import moving, own_inertias, Segment, smooth_angle
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.simulation import plant, predictor
@@ -156,8 +157,7 @@ class Objective:
     """
 
     def __init__(self, bundle: Bundle, joint: int, others: Sequence[np.ndarray], chosen=None):
-        self._bundle, self.joint, self._others = bundle, joint, list(others)
-        self._chosen = chosen
+        self.bundle, self.joint, self._others, self._chosen = bundle, joint, list(others), chosen
         together = bundle.arm.kind == 'planar'
         self._moved = list(range(bundle.arm.n_joints)) if together else [joint]
         self._own = self._moved.index(joint)
@@ -192,24 +192,28 @@ class Objective:
     def resistance(self, segment, theta) -> np.ndarray:
         """Return friction of the joint (T,) along the smoothed motion, less further torques."""
         extra = self.extra(segment)
-        return friction_along(segment, self.joint, theta, self._bundle.period
+        return friction_along(segment, self.joint, theta, self.bundle.period
                               ) - extra @ theta[len(theta) - extra.shape[1]:]
+
+    def measured(self, segment) -> np.ndarray:
+        """Return what the joint's equation of motion says of its friction (T,) [N m]."""
+        return friction_torque(segment, self.bundle.arm)[:, self.joint]
 
     def _given(self, segment, theta):
         """Return what is known of a segment and its links, as the predictor takes it."""
         extra = self.extra(segment)
         return (*(np.ascontiguousarray(part[..., self._moved]) for part in (
             segment.angle, segment.rate[0], segment.torque)), extra,
-            theta[len(theta) - extra.shape[1]:], self._bundle.period, self._links,
+            theta[len(theta) - extra.shape[1]:], self.bundle.period, self._links,
             self._friction(theta))
 
     def _observer(self, sharpness=1.0):
-        gains = self._bundle.observer_gains(sharpness)[:, self._moved]
-        return np.ascontiguousarray(gains), self._bundle.half[self._moved]
+        gains = self.bundle.observer_gains(sharpness)[:, self._moved]
+        return np.ascontiguousarray(gains), self.bundle.half[self._moved]
 
     def extra(self, segment) -> np.ndarray:
         """Return the further torques per unit of their coefficients, shape (T, R)."""
-        make = self._bundle.extras[self.joint]
+        make = self.bundle.extras[self.joint]
         return (np.zeros((len(segment.angle), 0)) if make is None else
                 np.ascontiguousarray(make(segment)))
 
@@ -222,13 +226,13 @@ class Objective:
         """Return which samples count, bool (T,)."""
         chosen = segment.tested[:, self.joint].copy() if self._chosen is None else self._chosen(
             segment) & segment.tested[:, self.joint]
-        chosen[:round(SETTLE_TIME / self._bundle.period)] = False
+        chosen[:round(SETTLE_TIME / self.bundle.period)] = False
         return chosen & np.isfinite(segment.angle[:, self.joint])
 
     @property
     def counts(self) -> bool:
         """Return whether any sample counts."""
-        return any(self.counted(segment).any() for segment in self._bundle.segments)
+        return any(self.counted(segment).any() for segment in self.bundle.segments)
 
     def evaluate(self, coordinates, free, sharpness, floor=None, *,
                  derivatives=True) -> Evaluation:
@@ -241,21 +245,21 @@ class Objective:
         theta, directions = coordinates.unpack(free)
         directions = directions if derivatives else directions[:, :0]
         pools = []
-        for segment in self._bundle.segments:
+        for segment in self.bundle.segments:
             counted = self.counted(segment)
             if counted.any():
                 _, innovation, jacobian = self.predict(segment, theta, directions, sharpness)
-                pools += _pools(counted, innovation, jacobian, self._bundle.period)
+                pools += _pools(counted, innovation, jacobian, self.bundle.period)
         arrays = [np.array(part) for part in zip(*pools, strict=True)]
         return Evaluation(*arrays, floor or self.floor_of(arrays[0]))
 
     def memory(self, coordinates, free, longest: float) -> float:
         """Return how many samples an innovation remembers, up to ``longest`` [s]; 1: white."""
         theta, directions = coordinates.unpack(free)
-        period = self._bundle.period
+        period = self.bundle.period
         lags, length = round(longest / period), block_length(period)
         total = np.zeros(lags)
-        for segment in self._bundle.segments:
+        for segment in self.bundle.segments:
             counted = self.counted(segment)
             if counted.sum() < 2 * lags:
                 continue
@@ -279,7 +283,7 @@ class Objective:
     @property
     def finest(self) -> float:
         """Return the innovation [rad] below which the steps of the predictor are what errs."""
-        return _FINEST * 2.0 * self._bundle.half[self.joint]
+        return _FINEST * 2.0 * self.bundle.half[self.joint]
 
 
 def _pools(counted, error, jacobian, period):

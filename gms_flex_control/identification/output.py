@@ -19,7 +19,7 @@ _OF_ARM = {'inertia': 'inertia', 'gravity': 'gravity_torque', 'motor_inertia': '
            'stiffness': 'stiffness', 'damping': 'damping'}
 _BY_JOINT = ('motor_inertia', 'stiffness', 'damping')  # of them, one number each in the arm
 # times what is usual: intervals know nothing of what a model lacks, nor of other days
-_LEAST_TOLD, _MOST_TOLD = 0.5, 4.0
+_LEAST_SD, _MOST_SD = 0.5, 4.0
 
 
 def report_json(identification: outcome.Identification) -> dict:
@@ -110,7 +110,7 @@ def uncertainty_values(identification: outcome.Identification) -> dict:
             if sizes:
                 usual = UNCERTAIN[kind].sd
                 values[f'uncertainty.{result.joint}.{kind}'] = float(np.clip(
-                    np.median(sizes), _LEAST_TOLD * usual, _MOST_TOLD * usual))
+                    np.median(sizes), _LEAST_SD * usual, _MOST_SD * usual))
     return values
 
 
@@ -132,8 +132,8 @@ def _uncertainty_of_arm(identification):
                      one.flags and _is_as_described(identification, kind, j))}
         if identification.spread is not None:
             weight, inertia, motor = identification.spread[:, j]
-            sizes |= {'gravity': min(weight, _MOST_TOLD * UNCERTAIN['gravity'].sd),
-                      'inertia': min(inertia, _MOST_TOLD * UNCERTAIN['inertia'].sd)}
+            sizes |= {'gravity': min(weight, _MOST_SD * UNCERTAIN['gravity'].sd),
+                      'inertia': min(inertia, _MOST_SD * UNCERTAIN['inertia'].sd)}
             if arm.rigid[j]:
                 sizes['motor_inertia'] = motor
         elif 'inertia' in sizes and arm.rigid[j]:  # is that of the motor as well
@@ -145,7 +145,7 @@ def _uncertainty_of_arm(identification):
         for kind, size in sizes.items():
             usual = UNCERTAIN[kind].sd
             values[f'uncertainty.{result.joint}.{kind}'] = float(max(
-                size if np.isfinite(size) else _MOST_TOLD * usual, _LEAST_TOLD * usual))
+                size if np.isfinite(size) else _MOST_SD * usual, _LEAST_SD * usual))
     return values
 
 

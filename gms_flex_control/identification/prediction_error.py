@@ -12,8 +12,7 @@ from collections.abc import Callable, Sequence
 from gms_flex_control.data.signal_analysis import low_pass, low_pass_bandwidth, rms, runs
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.coordinates import Coordinates
-from gms_flex_control.identification.friction_map import friction_torque
-from gms_flex_control.identification.objective import Bundle, Objective
+from gms_flex_control.identification.objective import Objective
 from gms_flex_control.identification.outcome import HeldOut, Loop, Trace
 from gms_flex_control.identification.segments import standing
 import numpy as np
@@ -41,8 +40,7 @@ _WRONG_LINKS = (
     'writes it, and state loads in recording.yaml')
 
 
-def coulomb_viscous(objective: Objective, bundle: Bundle, step: float,
-                    chosen: Callable) -> np.ndarray:
+def coulomb_viscous(objective: Objective, step: float, chosen: Callable) -> np.ndarray:
     """
     Fit Coulomb and viscous friction alone, each direction its own, by least squares.
 
@@ -51,15 +49,14 @@ def coulomb_viscous(objective: Objective, bundle: Bundle, step: float,
     that move; ``step`` is the encoder step or noise [rad].
     """
     joint, rows, targets = objective.joint, [], []
-    for segment in bundle.segments:
+    for segment in objective.bundle.segments:
         rate = segment.rate[:, joint]
         keep = chosen(segment) & (np.abs(rate) > standing(step)) & segment.tested[:, joint]
         forward, backward = rate > 0.0, rate < 0.0
         simple = np.stack([forward, -1.0 * backward, forward * rate, backward * rate], axis=1)
         columns = np.concatenate([simple, -objective.extra(segment)], axis=1)
         rows.append(low_pass(columns, segment.window)[keep])
-        targets.append(low_pass(friction_torque(segment, bundle.arm)[:, joint],
-                                segment.window)[keep])
+        targets.append(low_pass(objective.measured(segment), segment.window)[keep])
     return np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
 
 
@@ -73,12 +70,12 @@ def simple_free(fit: np.ndarray, displacement: float) -> tuple[Coordinates, np.n
     return coordinates, free
 
 
-def free_run_error(objective: Objective, bundle: Bundle, theta: np.ndarray,
-                   chosen: Callable) -> float:
+def free_run_error(objective: Objective, theta: np.ndarray, chosen: Callable) -> float:
     """Return the rms error of free simulations of HORIZON of chosen samples [rad]; NaN if none."""
-    horizon, stride = round(HORIZON / bundle.period), round(_STRIDE / bundle.period)
-    joint, first, total, count = objective.joint, stride, 0.0, 0
-    for segment in bundle.segments:
+    period, joint = objective.bundle.period, objective.joint
+    horizon, first = round(HORIZON / period), round(_STRIDE / period)
+    stride, total, count = first, 0.0, 0
+    for segment in objective.bundle.segments:
         starts = max((len(segment.angle) - 1 - horizon - first) // stride + 1, 0)
         keep = chosen(segment) & segment.tested[:, joint]
         if not starts or not keep.any():
@@ -94,7 +91,7 @@ def free_run_error(objective: Objective, bundle: Bundle, theta: np.ndarray,
     return float(np.sqrt(total / count)) if count else np.nan
 
 
-def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, simple: np.ndarray,
+def held_out_errors(objective: Objective, theta: np.ndarray, simple: np.ndarray,
                     chosen: Callable, step: float, repeatability: float) -> HeldOut:
     """
     Return the HeldOut errors of one joint.
@@ -103,7 +100,7 @@ def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, sim
     without the samples that are ``chosen``; ``step`` is the encoder step or noise [rad],
     ``repeatability`` that of the torque [N m].
     """
-    joint = objective.joint
+    bundle, joint = objective.bundle, objective.joint
     off, plain, torque, noise, innovations = [], [], [], [], []
     for segment in bundle.segments:
         keep = chosen(segment) & segment.tested[:, joint]
@@ -112,7 +109,7 @@ def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, sim
         window = segment.window
         innovations.append(objective.predict(segment, theta)[1][keep])
         keep &= bundle.judged(segment, joint, step)
-        measured = friction_torque(segment, bundle.arm)[:, joint]
+        measured = objective.measured(segment)
         for errors, parameters in ((off, theta), (plain, simple)):
             errors.append(low_pass(measured - objective.resistance(segment, parameters),
                                    window)[keep])
@@ -124,8 +121,8 @@ def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, sim
     usual = rms(torque)
     return HeldOut(
         torque_rms=rms(off), relative=rms(off) / usual, coulomb_viscous=rms(plain) / usual,
-        free_run_rms=free_run_error(objective, bundle, theta, chosen),
-        free_run_coulomb_viscous=free_run_error(objective, bundle, simple, chosen),
+        free_run_rms=free_run_error(objective, theta, chosen),
+        free_run_coulomb_viscous=free_run_error(objective, simple, chosen),
         horizon=HORIZON, innovation_rms=rms(innovations), noise_floor=rms(noise),
         repeatability=repeatability, bandwidth=low_pass_bandwidth(
             max(segment.window for segment in bundle.segments), bundle.period))
@@ -142,77 +139,68 @@ def _torque_noise(torque, window):
     return np.full(len(torque), level * gain)
 
 
-def traces_of(objective: Objective, bundle: Bundle, theta: np.ndarray, chosen: Callable) -> tuple:
+def traces_of(objective: Objective, theta: np.ndarray, chosen: Callable) -> tuple:
     """Return a Trace of each segment in which the joint is tested, thinned for drawing."""
     traces = []
-    for segment in bundle.segments:
+    for segment in objective.bundle.segments:
         keep = np.flatnonzero(segment.tested[:, objective.joint])
         if not len(keep):
             continue
         thin = keep[::max(1, len(keep) // _LONGEST_TRACE)]
         model = low_pass(objective.resistance(segment, theta), segment.window)
-        measured = low_pass(friction_torque(segment, bundle.arm)[:, objective.joint],
-                            segment.window)
+        measured = low_pass(objective.measured(segment), segment.window)
         traces.append(Trace(
-            segment.begin + bundle.period * thin, segment.rate[thin, objective.joint],
+            segment.begin + objective.bundle.period * thin, segment.rate[thin, objective.joint],
             measured[thin], model[thin],
             chosen(segment)[thin], segment.source))
     return tuple(traces)
 
 
-def _standing_torque(segment, arm):
-    """Return the torque friction holds at rest (T, n) [N m], where counts hide acceleration."""
-    still = np.zeros_like(segment.rate)
-    return segment.torque - inverse_dynamics(np.nan_to_num(segment.angle), still, still, arm)
+def _presliding(objective, theta):
+    """
+    Yield each segment with the torque friction holds at rest (T,) [N m], and slices of presliding.
+
+    By the phases or, unnamed, friction below break-away for a while.
+    """
+    joint, period = objective.joint, objective.bundle.period
+    for segment in objective.bundle.segments:
+        still = np.zeros_like(segment.rate)  # counts hide acceleration
+        torque = (segment.torque - inverse_dynamics(np.nan_to_num(
+            segment.angle), still, still, objective.bundle.arm))[:, joint]
+        if (segment.phase != '').any():
+            inside = (segment.phase == PRESLIDING) & segment.tested[:, joint]
+        else:
+            width = max(round(_SHORTEST / period), 1)
+            loaded = np.abs(torque) > _LOADED * min(theta[[0, 4]])
+            inside = np.convolve(loaded, np.ones(width), 'same') <= 0.5
+        yield segment, torque, [slice(begin, end) for begin, end in runs(inside)
+                                if (end - begin) * period >= _SHORTEST]
 
 
-def _presliding_parts(segment, joint, static, torque, period):
-    """Yield slices of presliding: by the phases or, unnamed, friction (T,) below ``static``."""
-    if (segment.phase != '').any():
-        inside = (segment.phase == PRESLIDING) & segment.tested[:, joint]
-    else:  # friction below break-away for a while
-        width = max(round(_SHORTEST / period), 1)
-        loaded = np.convolve(np.abs(torque) > _LOADED * static, np.ones(width), 'same') > 0.5
-        inside = ~loaded
-    for begin, end in runs(inside):
-        if (end - begin) * period >= _SHORTEST:
-            yield slice(begin, end)
-
-
-def presliding_reach(bundle: Bundle, joint: int, theta: np.ndarray) -> float:
+def presliding_reach(objective: Objective, theta: np.ndarray) -> float:
     """Return how far the joint went in one part of presliding, at most [rad]."""
-    reach = 0.0
-    for segment in bundle.segments:
-        torque = _standing_torque(segment, bundle.arm)[:, joint]
-        for rows in _presliding_parts(segment, joint, min(theta[[0, 4]]), torque, bundle.period):
-            angle = segment.angle[rows, joint]
-            reach = max(reach, float(np.nanmax(angle) - np.nanmin(angle)))
-    return reach
+    angles = [segment.angle[rows, objective.joint]
+              for segment, _, parts in _presliding(objective, theta) for rows in parts]
+    return max((float(np.nanmax(one) - np.nanmin(one)) for one in angles), default=0.0)
 
 
-def loops_of(objective: Objective, bundle: Bundle, theta: np.ndarray) -> tuple:
+def loops_of(objective: Objective, theta: np.ndarray) -> tuple:
     """Return at most six hysteresis Loops (Fig. 4) of the joint, of the largest torque."""
     joint, loops = objective.joint, []
-    for segment in bundle.segments:
-        torque = _standing_torque(segment, bundle.arm)[:, joint]
-        pieces = list(_presliding_parts(segment, joint, min(theta[[0, 4]]), torque,
-                                        bundle.period))
-        if not pieces:
-            continue
-        predicted = objective.predict(segment, theta)[0]
-        for rows in pieces:
+    for segment, torque, parts in _presliding(objective, theta):
+        predicted = objective.predict(segment, theta)[0] if parts else None
+        for rows in parts:
             thin = slice(rows.start, rows.stop, max(1, (rows.stop - rows.start) // _LONGEST_LOOP))
             origin = np.nanmean(segment.angle[rows, joint])
             loops.append(Loop(
                 segment.angle[thin, joint] - origin, torque[thin], predicted[thin] - origin,
-                f'{segment.source}, {segment.begin + rows.start * bundle.period:.1f} s'))
+                f'{segment.source}, {segment.begin + rows.start * objective.bundle.period:.1f} s'))
     loops.sort(key=lambda loop: -np.nanmax(np.abs(loop.torque)))
     return tuple(loops[:_MOST_LOOPS])
 
 
-def coupling_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray,
-                       names: Sequence[str], chosen: Callable, apart=(),
-                       in_space: bool = False) -> tuple:
+def coupling_sentences(objective: Objective, theta: np.ndarray, names: Sequence[str],
+                       chosen: Callable, apart=(), in_space: bool = False) -> tuple:
     """
     Return a sentence if other axes account for what the model leaves of a joint's torque, or none.
 
@@ -224,19 +212,14 @@ def coupling_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray,
     the ``chosen`` samples or the segments ``apart``. Gravity of a chain would need many more
     columns, which short recordings do not separate.
     """
-    joint = objective.joint
+    bundle, joint = objective.bundle, objective.joint
     others = [k for k in range(len(names)) if k != joint]
     if bundle.arm.kind != 'decoupled' or not others:
         return ()
-    parts = [_left(objective, bundle.arm, theta, segment, others)
-             for segment in (*bundle.segments, *apart)]
-    out = [chosen(segment) & (not apart) for segment in bundle.segments]
-    out += [np.ones(len(segment.angle), dtype=bool) for segment in apart]
-    kept = [part[2] for part in parts]
-    left, columns, torque, out = (
-        np.concatenate([values[keep] for values, keep in zip(group, kept, strict=True)])
-        for group in ([part[0] for part in parts], [part[1] for part in parts],
-                      [segment.torque[:, joint] for segment in (*bundle.segments, *apart)], out))
+    parts = [_left(objective, theta, segment, others, out) for segment, out in (
+        *((one, chosen(one) & (not apart)) for one in bundle.segments),
+        *((one, np.ones(len(one.angle), dtype=bool)) for one in apart))]
+    left, columns, torque, out = (np.concatenate(part) for part in zip(*parts, strict=True))
     if min(out.sum(), (~out).sum()) < _FEWEST:
         return ()
     share = max(_share(left, columns[:, :width], out)
@@ -248,10 +231,10 @@ def coupling_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray,
             f'{_WRONG_LINKS if in_space else _NO_LINKS}',)
 
 
-def _left(objective, arm, theta, segment, others):
-    """Return what is left of the torque (T,), columns of the others, and where both count."""
+def _left(objective, theta, segment, others, out):
+    """Return what is left of the torque (T,), columns of the others, it and ``out`` (T,)."""
     joint = objective.joint
-    residual = friction_torque(segment, arm)[:, joint] - objective.resistance(segment, theta)
+    residual = objective.measured(segment) - objective.resistance(segment, theta)
     bend, cosine = segment.acceleration, np.cos(np.nan_to_num(segment.angle[:, others]))
     rate, angle = segment.rate[:, joint], np.nan_to_num(segment.angle[:, joint])
     own = [np.ones(len(rate)), bend[:, joint], rate, np.tanh(rate / (_SLOW * rms(rate) + 1e-12)),
@@ -259,7 +242,9 @@ def _left(objective, arm, theta, segment, others):
     columns = np.concatenate([np.stack(own, axis=1), bend[:, others], bend[:, others] * cosine,
                               bend[:, [joint]] * cosine], axis=1)
     keep = segment.tested[:, joint] & np.isfinite(segment.angle).all(axis=1)
-    return low_pass(residual, segment.window), low_pass(columns, segment.window), keep
+    return tuple(part[keep] for part in (
+        low_pass(residual, segment.window), low_pass(columns, segment.window),
+        segment.torque[:, joint], out))
 
 
 def _share(left, columns, out):

@@ -26,7 +26,7 @@ import numpy as np
 
 SHORTEST = 2.0         # a segment below this is left out [s]
 _BRIDGED = 0.02        # torque is interpolated across gaps up to this, or two periods [s]
-_SPRING_DOUBT = 0.5    # of the torque's rms: a spring torque further off is not believed
+_SPRING_OFF = 0.5    # of the torque's rms: a spring torque further off is not believed
 _AGREE_WINDOW = 0.2    # at least, where spring and motor torque are compared: a controller answers
 #                        the steps of encoders with torque that is over before one sees it move [s]
 _DAMPING_WINDOW = 0.05  # for the rate of the spring deflection [s]
@@ -82,7 +82,7 @@ def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
                 'both sides of a spring; record the effort, or the motor side as well')
         if two_sided and has_torque:
             off = _spring_mismatch(recording, robot, j)
-            if off > _SPRING_DOUBT:
+            if off > _SPRING_OFF:
                 warnings.warn(
                     f'{recording.source}: the spring torque K (q_motor - q_link) of {joint} '
                     f'differs from the motor equation by {100 * off:.0f} % of the torque; K, J, '

@@ -146,7 +146,7 @@ def memory_of(inverse: np.ndarray, precision: np.ndarray, scores: np.ndarray,
     """
     Return how many samples count as one, by numbers ``kept``, see `clustered`.
 
-    What only priors of ``precision`` (P,) determine does not scatter with the data, and tells
+    What only priors of ``precision`` (P,) determine does not scatter with the data, and says
     nothing.
     """
     scatter = np.diag(clustered(inverse, scores, 0.0)) / np.diag(inverse)
