@@ -10,7 +10,7 @@ choose among them on the data held out; where these are few, on all of them and 
 held out in turn.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
@@ -18,7 +18,6 @@ from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.least_squares import fit_torque, prior_of, refine, TorqueError
 from gms_flex_control.identification.objective import (
-    Bundle,
     coarser,
     everything,
     FOLDS,
@@ -84,40 +83,38 @@ class _Squares(NamedTuple):
     free: float         # of free simulation [rad^2]; NaN if no segment is long enough
 
 
-def choose_fit(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float) -> Choice:
+def choose_fit(objective: Objective, fit: JointFit, step: float) -> Choice:
     """Return the Choice of a joint: none that is worse than the simple one in either error."""
-    criteria = _criteria_of(bundle, joint, fits, step)
+    criteria = _criteria_of(objective, fit, step)
     usual = criteria.wins(criteria.by_innovations)
     if usual and criteria.explained():
-        return Choice(INNOVATIONS, fits[joint], None)
+        return Choice(INNOVATIONS, fit, None)
     other = criteria.wins(criteria.by_torque)
     if usual and not (other and criteria.clearly_better()):
-        return Choice(INNOVATIONS, fits[joint], None)
+        return Choice(INNOVATIONS, fit, None)
     return criteria.finished(TORQUE if other else SIMPLE)
 
 
-def simple_theta(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float,
-                 whole: bool) -> np.ndarray:
+def simple_theta(objective: Objective, fit: JointFit, step: float, whole: bool) -> np.ndarray:
     """Return the parameters of the simple fit, to all data or without those held out."""
-    criteria = _criteria_of(bundle, joint, fits, step)
+    criteria = _criteria_of(objective, fit, step)
     coordinates, free = criteria.simple(criteria.whole if whole else criteria.first)
     return coordinates.parameters(free)
 
 
-def _criteria_of(bundle, joint, fits, step):
+def _criteria_of(objective, fit, step):
+    bundle = objective.bundle
     samples = sum(len(segment.angle) for segment in bundle.segments)
     thin = coarser(bundle, min(bundle.period * max(samples // _MOST, 1), _COARSE))
-    return _Criteria(thin, joint, [fit.theta for fit in fits], fits[joint], step)
+    return _Criteria(objective.of(bundle=thin), fit, step)
 
 
 class _Criteria:
     """Fits of one joint beside the simple one, ``fit`` by the innovations."""
 
-    def __init__(self, bundle, joint, thetas, fit, step):
-        self._fit, self._step = fit, step
-        self._objective_of = lambda chosen: Objective(bundle, joint, thetas, chosen)
-        self._objective = Objective(bundle, joint, thetas)
-        first, *others = _trials(bundle)
+    def __init__(self, objective, fit, step):
+        self._objective, self._fit, self._step = objective, fit, step
+        first, *others = _trials(objective.bundle)
         self.trials = (first, *filter(None, map(self._that_judge, others)))
         self.first = first[0]
         self.whole = _Look(everything, self.first.out)
@@ -165,7 +162,7 @@ class _Criteria:
         if look is self.first:
             return self._fit.coordinates, self._fit.held
         return self._fit.coordinates, refine(
-            self._objective_of(look.fitted), self._fit.coordinates, self._fit.free,
+            self._objective.of(look.fitted), self._fit.coordinates, self._fit.free,
             self._fit.prior).free
 
     def _by_torque(self, look):

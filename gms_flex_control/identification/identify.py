@@ -36,7 +36,6 @@ from gms_flex_control.identification.objective import (
     everything,
     held_out,
     numbered,
-    Objective,
     observer_bandwidth,
 )
 from gms_flex_control.identification.outcome import Identification, JointResult
@@ -59,7 +58,7 @@ from gms_flex_control.identification.segments import (
     travel,
     while_moved,
 )
-from gms_flex_control.identification.selection import CANDIDATES, few_blocks
+from gms_flex_control.identification.selection import CANDIDATES, few_blocks, objectives_of
 from gms_flex_control.identification.uncertainty import (
     curve_of,
     estimates_of,
@@ -294,16 +293,16 @@ class Data:
     def choose(self, fits, say) -> list:
         """Return the JointFit per joint that is chosen of those that `search` found."""
         say('comparing with a fit of the torque')
-        self.choices = _per_joint(len(fits), lambda j: choose_fit(
-            self.bundle, j, fits, self.step[j]))
+        self.choices = _per_joint(
+            choose_fit, objectives_of(self.bundle, fits), fits, self.step)
         return [choice.fit.alike_both_ways(start.unmoved) for choice, start in zip(
             self.choices, self.starts, strict=True)]
 
     def results(self, fits) -> tuple:
         """Return a JointResult per joint that was fitted, and the robot with the arm found."""
-        thetas = [fit.theta for fit in fits]
-        spreads = _per_joint(len(fits), lambda j: self.choices[j].spread or spread_of(
-            Objective(self.bundle, j, thetas), fits[j]))
+        objectives, thetas = objectives_of(self.bundle, fits), [fit.theta for fit in fits]
+        spreads = _per_joint(lambda choice, *found: choice.spread or spread_of(*found),
+                             self.choices, objectives, fits)
         further, robot = [()] * self.described.n_joints, self.described
         if self.arm_fit and self.arm_fit.final:
             further = self.arm_fit.final
@@ -318,13 +317,11 @@ class Data:
         others = [row for j, rows in enumerate(further) if j not in self.fitted for row in rows]
         further = [further[j] for j in self.fitted]
         further[0] = (*further[0], *others)  # of the arm, and of links that did not move
-        return tuple(_per_joint(len(fits), lambda j: self._result(
-            j, fits, spreads[j], further[j]))), robot
+        return tuple(_per_joint(self._result, objectives, fits, spreads, further)), robot
 
-    def _result(self, joint, fits, spread, further):
+    def _result(self, objective, fit, spread, further):
         """Return the JointResult of one joint; ``further`` are Estimates beyond friction."""
-        fit, bundle = fits[joint], self.bundle
-        theta, objective = fit.theta, Objective(bundle, joint, [one.theta for one in fits])
+        joint, bundle, theta = objective.joint, self.bundle, fit.theta
         top = np.abs(self.maps[joint].velocity).max()
         velocity = np.concatenate([-np.geomspace(top, 1e-4 * top, _VELOCITIES),
                                    np.geomspace(1e-4 * top, top, _VELOCITIES)])
@@ -341,25 +338,24 @@ class Data:
             traces=traces_of(objective, theta, held_out(bundle.period)),
             candidates=tuple(one._replace(chosen=one.n_blocks == fit.coordinates.n_blocks)
                              for one in fit.candidates),
-            held_out=self._errors(joint, fits), warnings=self._sentences(joint, fit, objective))
+            held_out=self._errors(objective, fit), warnings=self._sentences(objective, fit))
 
-    def _sentences(self, joint, fit, objective):
+    def _sentences(self, objective, fit):
         coupled = coupling_sentences(objective, fit.theta, self.robot.joints,
                                      held_out(self.bundle.period), self._apart,
                                      self.described.arm.frames is not None)
-        return (*self.choices[joint].sentences, *few_blocks(fit), *coupled)
+        return (*self.choices[objective.joint].sentences, *few_blocks(fit), *coupled)
 
-    def _errors(self, joint, fits):
-        fit, bundle = fits[joint], self.bundle
+    def _errors(self, objective, fit):
+        joint, bundle, judged = objective.joint, self.bundle, objective
         chosen, theta = held_out(bundle.period), fit.coordinates.parameters(fit.held)
         if any(one.tested[:, joint].any() for one in self._apart):
-            bundle = bundle._replace(segments=tuple(self._apart))
+            judged = objective.of(bundle=bundle._replace(segments=tuple(self._apart)))
             theta, chosen = fit.theta, everything
-        simple = simple_theta(self.bundle, joint, fits, self.step[joint], bool(self._apart))
+        simple = simple_theta(objective, fit, self.step[joint], bool(self._apart))
         return held_out_errors(
-            Objective(bundle, joint, [one.theta for one in fits]), theta, simple, chosen,
-            self.step[joint], repeatability(self.bundle.segments, self.robot.arm, joint,
-                                            self.bundle.period, self.bundle.half[joint]))
+            judged, theta, simple, chosen, self.step[joint], repeatability(
+                bundle.segments, self.robot.arm, joint, bundle.period, bundle.half[joint]))
 
 
 def _differences(recordings, robot, arm_fit):
@@ -369,10 +365,10 @@ def _differences(recordings, robot, arm_fit):
     return arm_fit.differences if arm_fit else fit_differences(recordings, robot)
 
 
-def _per_joint(count, task):
-    """Return what ``task`` returns for each of ``count`` joints, done in as many threads."""
-    with ThreadPoolExecutor(max_workers=count) as pool:
-        return list(pool.map(task, range(count)))
+def _per_joint(task, *given):
+    """Return what ``task`` returns for what is ``given`` of each joint, in as many threads."""
+    with ThreadPoolExecutor(max_workers=len(given[0])) as pool:
+        return list(pool.map(task, *given))
 
 
 def _common_period(recordings):

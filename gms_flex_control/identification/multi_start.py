@@ -16,7 +16,7 @@ none is better. What the good ones differ by is reported as uncertainty.
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import repeat
+from functools import partial
 from typing import NamedTuple
 
 from gms_flex_control.identification.coordinates import (
@@ -36,7 +36,13 @@ from gms_flex_control.identification.least_squares import (
 )
 from gms_flex_control.identification.objective import Bundle, coarser, Objective, train
 from gms_flex_control.identification.segments import travel
-from gms_flex_control.identification.selection import CANDIDATES, fit_again, fit_joint, JointFit
+from gms_flex_control.identification.selection import (
+    CANDIDATES,
+    fit_again,
+    fit_joint,
+    JointFit,
+    objectives_of,
+)
 from gms_flex_control.identification.uncertainty import widening
 import numpy as np
 
@@ -79,24 +85,22 @@ def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, steps: Se
         thetas = list(pool.map(_spread, training, starts, extras))
         by_torque = list(pool.map(_by_torque, training, thetas, steps))
         thetas = _better(pool, rough, (by_torque, thetas))
-        fits = list(pool.map(lambda j: fit_joint(rough, j, thetas, blocks), joints))
+        fits = list(pool.map(partial(fit_joint, blocks=blocks), [
+            Objective(rough, j, thetas) for j in joints]))
         say('refining each joint, the others as they were found')
         fits = _search(pool, bundle, fits, LEVELS)
-        thetas = [fit.theta for fit in fits]
-        fits = list(pool.map(lambda j: fit_again(rough, j, thetas, fits[j], blocks), joints))
+        fits = list(pool.map(
+            partial(fit_again, blocks=blocks), objectives_of(rough, fits), fits))
         if not all(fit.ends for fit in fits):  # not where the search ended
             fits = _search(pool, bundle, fits, LEVELS[-1:])
-        thetas = [fit.theta for fit in fits]
-        return list(pool.map(lambda j: _finish(bundle, j, thetas, fits[j]), joints))
+        return list(pool.map(_finish, objectives_of(bundle, fits), fits))
 
 
 def fit_beside(bundle: Bundle, fits: Sequence[JointFit]) -> list[JointFit]:
     """Return JointFits where a Bundle, whose arm is hardly another, has its nearest minimum."""
-    joints = range(len(fits))
     with ThreadPoolExecutor(max_workers=len(fits)) as pool:
         for _ in range(_BESIDE if bundle.arm.kind == 'planar' and len(fits) > 1 else 1):
-            thetas = [fit.theta for fit in fits]
-            fits = list(pool.map(_finish, repeat(bundle), joints, repeat(thetas), fits))
+            fits = list(pool.map(_finish, objectives_of(bundle, fits), fits))
     return fits
 
 
@@ -175,48 +179,46 @@ def _search(pool, bundle, fits, levels):
     coupled = bundle.arm.kind == 'planar' and len(fits) > 1
     if not coupled:
         looks = list(dict.fromkeys(looks))
-    levels, last = [looked_at(bundle, *look) for look in looks], len(looks) - 1
+    levels, last = [_looked_at(bundle, *look) for look in looks], len(looks) - 1
     if coupled:
         levels += [levels[-1]] * _MORE_TURNS
     for turn, level in enumerate(levels):
-        thetas = [fit.theta for fit in fits]
         patience = _PATIENCE if turn < last else _PATIENCE_LAST
-        tasks = [(level, j, thetas, fit, np.random.default_rng([turn, j]), patience,
-                  turn == last, turn > last) for j, fit in enumerate(fits)]
-        fits, gains = zip(*pool.map(searched, *zip(*tasks, strict=True)), strict=True)
+        tasks = [(objective, fit, np.random.default_rng([turn, objective.joint]), patience,
+                  turn == last, turn > last)
+                 for objective, fit in zip(objectives_of(level, fits), fits, strict=True)]
+        fits, gains = zip(*pool.map(_searched, *zip(*tasks, strict=True)), strict=True)
         if turn >= last and max(gains) < GAIN:
             break
     return fits
 
 
-def looked_at(bundle: Bundle, period: float, softness: float) -> Bundle:
+def _looked_at(bundle, period, softness):
     """Return a bundle sampled every ``period`` [s] with another bandwidth of the observer."""
     rough = coarser(bundle, period)
     return rough._replace(observer=softness * rough.observer)
 
 
-def searched(bundle: Bundle, joint: int, thetas: Sequence, fit: JointFit, rng, patience: int,
-             all_ends: bool, again=False) -> tuple[JointFit, float]:
+def _searched(objective, fit, rng, patience, all_ends, again):
     """
     Return the best JointFit near one, or near all its ends, and how much was gained.
 
     What good ends differ by is kept where the same look at the data is repeated (``again``).
     """
-    found = multi_start(Objective(bundle, joint, thetas, train(bundle.period)), fit.coordinates,
+    bundle = objective.bundle
+    found = multi_start(objective.of(train(bundle.period)), fit.coordinates,
                         fit.ends if all_ends and fit.ends else (fit.free,), fit.prior,
-                        2.0 * bundle.half[joint], rng, patience)
+                        2.0 * bundle.half[objective.joint], rng, patience)
     scatter = np.maximum(found.scatter, fit.sampling) if again else found.scatter
     return fit._replace(free=found.ends[0], sampling=scatter, ends=found.ends), found.gain
 
 
-def _finish(bundle, joint, thetas, fit):
+def _finish(objective, fit):
     """Refine a fit with all samples: without the data held out, then on all."""
-    coordinates, prior = fit.coordinates, fit.prior
-    held = refine(Objective(bundle, joint, thetas, train(bundle.period)), coordinates, fit.free,
-                  prior).free
-    objective = Objective(bundle, joint, thetas)
+    coordinates, prior, bundle = fit.coordinates, fit.prior, objective.bundle
+    held = refine(objective.of(train(bundle.period)), coordinates, fit.free, prior).free
     refined = refine(objective, coordinates, held, prior)
-    others = (refine(Objective(coarser(bundle, 2.0 * bundle.period), joint, thetas), coordinates,
+    others = (refine(objective.of(bundle=coarser(bundle, 2.0 * bundle.period)), coordinates,
                      refined.free, prior),
               refine(objective, coordinates, refined.free, prior, sharpness=_SOFT))
     moved = sum((other.free - refined.free) ** 2 for other in others)

@@ -3,7 +3,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from gms_flex_control import friction as gms
 from gms_flex_control import records
@@ -157,13 +157,17 @@ class Objective:
     """
 
     def __init__(self, bundle: Bundle, joint: int, others: Sequence[np.ndarray], chosen=None):
-        self.bundle, self.joint, self._others, self._chosen = bundle, joint, list(others), chosen
+        self.bundle, self.joint, self.thetas, self._chosen = bundle, joint, list(others), chosen
         together = bundle.arm.kind == 'planar'
         self._moved = list(range(bundle.arm.n_joints)) if together else [joint]
         self._own = self._moved.index(joint)
         self._links = chain.constants_of(bundle.arm if together else bundle.arm.axis(joint))
         self._carried = np.array([self._own, *(k for k in range(len(self._moved))
                                                if k != self._own)])
+
+    def of(self, chosen=None, bundle=None) -> Self:
+        """Return it against the ``chosen`` samples of a Bundle, by default the same."""
+        return Objective(bundle or self.bundle, self.joint, self.thetas, chosen)
 
     def predict(self, segment, theta, directions=None,
                 sharpness=1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -219,7 +223,7 @@ class Objective:
 
     def _friction(self, theta):
         """Return the constants of all joints that move, ``theta`` those of this one."""
-        return friction_record([theta if k == self.joint else self._others[k]
+        return friction_record([theta if k == self.joint else self.thetas[k]
                                 for k in self._moved])
 
     def counted(self, segment) -> np.ndarray:

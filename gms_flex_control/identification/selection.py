@@ -64,18 +64,23 @@ class JointFit(NamedTuple):
         return self._replace(free=free, held=held)
 
 
-def _fit_candidate(bundle, joint, thetas, n_blocks):
+def objectives_of(bundle: Bundle, fits: Sequence[JointFit]) -> list[Objective]:
+    """Return the Objective of each joint, the others as JointFits have them."""
+    thetas = [fit.theta for fit in fits]
+    return [Objective(bundle, j, thetas) for j in range(len(fits))]
+
+
+def _fit_candidate(objective, n_blocks):
     """Return Coordinates and free numbers of N blocks, fitted without the data held out."""
-    objective = Objective(bundle, joint, thetas, train(bundle.period))
-    coordinates, free = equal_blocks(thetas[joint], n_blocks)
+    training = objective.of(train(objective.bundle.period))
+    coordinates, free = equal_blocks(objective.thetas[objective.joint], n_blocks)
     prior = prior_of(coordinates, free)
     for sharpness in _SHARPNESS:
-        free = refine(objective, coordinates, free, prior, sharpness=sharpness, roughly=True).free
+        free = refine(training, coordinates, free, prior, sharpness=sharpness, roughly=True).free
     return coordinates, free
 
 
-def choose(bundle: Bundle, joint: int, thetas: Sequence, fits: Sequence,
-           blocks: Sequence) -> tuple:
+def choose(objective: Objective, fits: Sequence, blocks: Sequence) -> tuple:
     """
     Return Candidates, the pair whose held-out error no other beats beyond chance, its rivals.
 
@@ -85,7 +90,7 @@ def choose(bundle: Bundle, joint: int, thetas: Sequence, fits: Sequence,
     others that are no worse beyond one standard error of the difference, by Student's
     distribution for so many blocks of time.
     """
-    costs, count = _held_out_costs(bundle, joint, thetas, fits)
+    costs, count = _held_out_costs(objective, fits)
     order = sorted(range(len(fits)), key=lambda k: (fits[k][0].n_blocks, costs[k].sum()))
     fits, costs = [fits[k] for k in order], costs[order]
     offered = np.array([coordinates.n_blocks in blocks for coordinates, _ in fits])
@@ -106,15 +111,14 @@ def choose(bundle: Bundle, joint: int, thetas: Sequence, fits: Sequence,
     return tuple(shown.values()), fits[chosen], rivals
 
 
-def _held_out_costs(bundle, joint, thetas, fits):
+def _held_out_costs(objective, fits):
     """Return the cost of each fit in each block of time held out (K, B), and samples in all."""
     costs, count = [], 0.0
     for turn in range(FOLDS):
-        objective = Objective(bundle, joint, thetas, held_out(bundle.period, turn))
-        fitted = Objective(bundle, joint, thetas, train(bundle.period, turn))
-        if turn and not (objective.counts and fitted.counts):
+        out, fitted = (objective.of(of(objective.bundle.period, turn)) for of in (held_out, train))
+        if turn and not (out.counts and fitted.counts):
             continue
-        evaluations = [objective.evaluate(coordinates, free if turn == 0 else refine(
+        evaluations = [out.evaluate(coordinates, free if turn == 0 else refine(
             fitted, coordinates, free, prior_of(coordinates, free), roughly=True).free, 1.0)
             for coordinates, free in fits]
         floor = min(one.floor for one in evaluations)  # what the best explain is explained
@@ -133,15 +137,13 @@ def _above(costs, best):
     return off.sum(axis=1), off.std(axis=1) * np.sqrt(off.shape[1])
 
 
-def fit_joint(bundle: Bundle, joint: int, thetas: Sequence, blocks: Sequence) -> JointFit:
+def fit_joint(objective: Objective, blocks: Sequence) -> JointFit:
     """Fit one joint with each number of blocks, chosen or shown only, and choose among them."""
-    fits = [_fit_candidate(bundle, joint, thetas, n)
-            for n in sorted({*blocks, *CANDIDATES})]
-    return _unsearched(*choose(bundle, joint, thetas, fits, blocks))._replace(fits=tuple(fits))
+    fits = [_fit_candidate(objective, n) for n in sorted({*blocks, *CANDIDATES})]
+    return _unsearched(*choose(objective, fits, blocks))._replace(fits=tuple(fits))
 
 
-def fit_again(bundle: Bundle, joint: int, thetas: Sequence, fit: JointFit,
-              blocks: Sequence) -> JointFit:
+def fit_again(objective: Objective, fit: JointFit, blocks: Sequence) -> JointFit:
     """
     Return a JointFit with the number of blocks that is best from where the search ended.
 
@@ -149,11 +151,10 @@ def fit_again(bundle: Bundle, joint: int, thetas: Sequence, fit: JointFit,
     be the best number. Where several are, all that the data do not rule out are rivals. A fit
     that is not that of the search has no ``ends``.
     """
-    found = fit.coordinates.n_blocks
-    again = [_fit_candidate(bundle, joint, thetas, n)
-             for n in sorted({*blocks, *CANDIDATES} - {found})]
-    candidates, best, rivals = choose(bundle, joint, thetas, [
-        *fit.fits, (fit.coordinates, fit.free), *again], blocks)
+    again = [_fit_candidate(objective, n)
+             for n in sorted({*blocks, *CANDIDATES} - {fit.coordinates.n_blocks})]
+    candidates, best, rivals = choose(
+        objective, [*fit.fits, (fit.coordinates, fit.free), *again], blocks)
     if best[1] is fit.free:
         return fit._replace(held=best[1], candidates=candidates, rivals=rivals)
     return _unsearched(candidates, best, rivals)
