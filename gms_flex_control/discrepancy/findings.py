@@ -37,17 +37,6 @@ def as_given(likelihood, state, nuisances, but=()) -> State:
     return State(model, nuisances, own, -np.inf, farthest)
 
 
-def parts_of(likelihood, found, held_out, most) -> Iterator[State]:
-    """Yield ``most`` States with ever fewer effects that predict best, parameters as given."""
-    part = found.best
-    for _ in range(min(len(part.key(likelihood.known)) - 1, most)):
-        part, given = min(((less, as_given(likelihood, less, found.nuisances)) for less in (
-            with_fewer(likelihood, found._replace(best=part), i)
-            for i in range(likelihood.known, len(part.model.robot.effects)))),
-            key=lambda pair: held_out.energy(pair[1]))
-        yield given
-
-
 def judged(likelihood, found, functions) -> tuple:
     """
     Return the search's end with effects that are real alone, their Worths, and what is left.
@@ -129,22 +118,27 @@ def _lessened(likelihood, found, one, held_out):
     return before, after, matters
 
 
-def predicting_subset(likelihood, found, held_out) -> State:
-    """Return the State with those effects found that, added one by one, predict best."""
-    added = range(likelihood.known, len(found.best.model.robot.effects))
+def subsets(likelihood, found, held_out, fitted=lambda state: state) -> Iterator[State]:
+    """Yield what is ``fitted`` of States with the effects that, added one by one, predict best."""
+    added, chosen = range(likelihood.known, len(found.best.model.robot.effects)), ()
 
-    def tried(subset):
-        state = (found.best if len(subset) == len(added) else with_fewer(
-            likelihood, found, *(i for i in added if i not in subset)))
-        return held_out.energy(state), state, subset
-    last, every = tried(()), tried(tuple(added))
-    while len(last[2]) < len(added) - 1:
-        other = min((tried((*last[2], i)) for i in added if i not in last[2]),
-                    key=lambda one: one[0])
-        if other[0] >= last[0]:
+    def tried(some):
+        return some, fitted(with_fewer(likelihood, found, *(i for i in added if i not in some)))
+    while len(chosen) < len(added) - 1:
+        chosen, state = min((tried((*chosen, i)) for i in added if i not in chosen),
+                            key=lambda one: held_out.energy(one[1]))
+        yield state
+
+
+def predicting_subset(likelihood, found, held_out) -> State:
+    """Return the State of all effects found, none, or the first `subsets` that predicts best."""
+    added = range(likelihood.known, len(found.best.model.robot.effects))
+    best = with_fewer(likelihood, found, *added) if added else found.best
+    for state in subsets(likelihood, found, held_out):
+        if held_out.energy(state) >= held_out.energy(best):
             break
-        last = other
-    return min(every, last, key=lambda one: one[0])[1]
+        best = state
+    return min(found.best, best, key=held_out.energy)
 
 
 def _alone(likelihood, found, worths, held_out):

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 import time
 
 from gms_flex_control.compiled import in_one_thread
@@ -16,9 +17,9 @@ from gms_flex_control.discrepancy.findings import (
     findings_of,
     joints_left,
     judged,
-    parts_of,
     predicting_subset,
     predictive,
+    subsets,
 )
 from gms_flex_control.discrepancy.fitting import is_within, with_white_noise
 from gms_flex_control.discrepancy.gap import HeldOut
@@ -306,7 +307,8 @@ def _written(likelihood, found, larger, held_out, further, named):
                           for state in (found.best, found.before))
             wholes += [(one, alone)] if is_written(one, alone) else []
     if found.best.key(known) and not wholes:
-        parts = parts_of(likelihood, found, held_out, _SIZES)
+        parts = islice(subsets(likelihood, found, held_out, lambda state: as_given(
+            likelihood, state, found.nuisances)), _SIZES)
         wholes = [(one, given) for one in parts if is_written(one, given)]
     other = min((given, *others), key=held_out.energy)
     other = other, found.before if other.key(known) else other
