@@ -10,15 +10,7 @@ before anything was measured.
 from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
-from gms_flex_control.discrepancy.fitting import (
-    informative,
-    limits,
-    numbers_of,
-    prior_cost,
-    prior_of,
-    solve,
-    without,
-)
+from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, OTHER_SIZE
@@ -58,15 +50,16 @@ def state_of(likelihood, model, columns, hypotheses) -> State:
     ``columns`` (C, R) are the derivatives of its rows; of ``hypotheses``, the effects of joints
     that are looked for, one is expected to be missing.
     """
-    numbers = numbers_of(likelihood, model.robot)
-    prior = prior_of(likelihood, model, numbers)
+    numbers = fitting.numbers_of(likelihood, model.robot)
+    prior = fitting.prior_of(likelihood, model, numbers)
     weight = likelihood.weights(model.sums.groups)
-    scaled = informative(likelihood, model, columns)[prior.free] * prior.sd[prior.free, None]
+    scaled = fitting.informative(likelihood, model, columns)[prior.free]
+    scaled *= prior.sd[prior.free, None]
     gram = (scaled * weight) @ scaled.T
     _, occam = np.linalg.slogdet(np.eye(len(gram)) + gram)
     added = len(model.robot.effects) - likelihood.known
     exact = likelihood.sums(model.rows, model.robot, model.x, exact=True)
-    evidence = (-exact.cost - prior_cost(model, numbers) - occam
+    evidence = (-exact.cost - fitting.prior_cost(model, numbers) - occam
                 + 2.0 * log_determinant(likelihood, model)
                 - 2.0 * added * np.log(max(hypotheses, 2)))
     return State(model, columns[:len(model.x)], columns[len(model.x):],
@@ -207,15 +200,15 @@ class NormalEquations:
 
     def __init__(self, likelihood, model, columns, plausible=np.inf):
         self._likelihood, self._sums = likelihood, model.sums.groups
-        self._columns = likelihood.groups.ordered(informative(likelihood, model, columns))
+        self._columns = likelihood.groups.ordered(fitting.informative(likelihood, model, columns))
         self._rows = likelihood.groups.ordered(model.rows[None])
-        numbers = numbers_of(likelihood, model.robot)
-        self.prior = prior_of(likelihood, model, numbers)
+        numbers = fitting.numbers_of(likelihood, model.robot)
+        self.prior = fitting.prior_of(likelihood, model, numbers)
         self._products = likelihood.groups.products
         self._gram = self._products(self._columns, self._columns)
         self._slope = -self._products(self._columns, self._rows)[:, :, 0]
         self._noise = likelihood.noise_slopes(model, likelihood.weights(self._sums), numbers)
-        self._limits = limits(model, numbers, self.prior, plausible * likelihood.sd)
+        self._limits = fitting.limits(model, numbers, self.prior, plausible * likelihood.sd)
         self.alone = self._least(self._gram, self._slope, self._noise, self.prior.pull,
                                  *self._limits)
 
@@ -225,8 +218,8 @@ class NormalEquations:
         sums = self._sums
         for _ in range(_WEIGHINGS):
             weight = 1.0 / likelihood.noise_levels(sums)
-            step = solve(np.tensordot(weight, gram, 1) + np.diag(pull),
-                         weight @ slope + noise - pull * values, low, high)
+            step = fitting.solve(np.tensordot(weight, gram, 1) + np.diag(pull),
+                                 weight @ slope + noise - pull * values, low, high)
             sums = self._sums - 2.0 * slope @ step + (gram @ step) @ step
         cost = (likelihood.misfit(sums) - 2.0 * float(noise @ step)
                 + float(np.sum(pull * (values + step) ** 2)))
@@ -265,7 +258,7 @@ def is_of_other_size(likelihood, model, columns, hypotheses) -> bool:
     for i, spec in enumerate(model.robot.effects[likelihood.known:], start=likelihood.known):
         if find(spec.name).of_one_size:
             normal = NormalEquations(likelihood, model, columns)
-            less = likelihood.fitted(without(model.robot, i), model.x)
+            less = likelihood.fitted(fitting.without(model.robot, i), model.x)
             least = normal.beside((model.rows - less.rows)[None])
             if (abs(least.added[0]) > OTHER_SIZE and normal.alone.cost - least.cost
                     > EVIDENCE + 2.0 * np.log(max(hypotheses, 2))):

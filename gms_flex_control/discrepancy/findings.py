@@ -7,18 +7,11 @@ Small ones are listed apart and change no verdict.
 
 from collections.abc import Iterator
 
-from gms_flex_control.discrepancy import fitting, thresholds
+from gms_flex_control.discrepancy import fitting, thresholds, worth
 from gms_flex_control.discrepancy.describe import evidence_of, evidence_of_ripple
 from gms_flex_control.discrepancy.evidence import posterior, State
 from gms_flex_control.discrepancy.result import Finding, Residual, Value
 from gms_flex_control.discrepancy.torque_noise import clean_torque, excess_torque
-from gms_flex_control.discrepancy.worth import (
-    dropped,
-    plausible_limit,
-    pruned,
-    timed,
-    with_fewer,
-)
 from gms_flex_control.effects.registry import find
 from gms_flex_control.identification.outcome import CONFIDENT
 import numpy as np
@@ -45,7 +38,7 @@ def judged(likelihood, found, functions) -> tuple:
     some variable, of the FreeFunctions, would in its place only resembles what is there. That is
     Found, list of Worth, Free or None, and Found with effects that only resemble as well.
     """
-    found, worths = pruned(likelihood, timed(likelihood, found))
+    found, worths = worth.pruned(likelihood, worth.timed(likelihood, found))
     whole = found
     while True:
         model, columns = found.best.model, found.best.columns
@@ -58,7 +51,7 @@ def judged(likelihood, found, functions) -> tuple:
         if min(shares) > thresholds.RESEMBLES:
             return found, worths, left, whole
         worst = worths[int(np.argmin(shares))].index
-        found, worths = pruned(likelihood, dropped(likelihood, found, worst))
+        found, worths = worth.pruned(likelihood, worth.dropped(likelihood, found, worst))
 
 
 def predictive(likelihood, found, worths, held_out) -> tuple:
@@ -73,14 +66,15 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
         hardly = next((one.index for one in worths if find(effects[one.index].name).of_one_size
                        and not _lessened(likelihood, found, one, held_out)[2]), None)
         if hardly is not None:
-            found, worths = pruned(likelihood, dropped(likelihood, found, hardly))
+            found, worths = worth.pruned(likelihood, worth.dropped(likelihood, found, hardly))
             continue
         energy = held_out.energy(found.best)
         fewer = {one.index: held_out.energy(one.rest) for one in worths if len(worths) > 1}
         # what has stood beside it may fall with it, and another take its place: the end counts
-        ends = (pruned(likelihood, dropped(likelihood, found, index)) for index in sorted(
-            fewer, key=fewer.get) if thresholds.CLEARLY * fewer[index] <= energy)
-        limit = plausible_limit(likelihood, found.best.model)
+        ends = (worth.pruned(likelihood, worth.dropped(likelihood, found, index))
+                for index in sorted(fewer, key=fewer.get)
+                if thresholds.CLEARLY * fewer[index] <= energy)
+        limit = worth.plausible_limit(likelihood, found.best.model)
         better = next((end for end in ends if thresholds.CLEARLY * held_out.energy(
             limited(likelihood, end[0].best, limit)) <= energy), None)
         if better is None:
@@ -106,7 +100,8 @@ def _lessened(likelihood, found, one, held_out):
     in which it hardly acts do not say that it does not: blocks of those that were fitted do.
     """
     state = found.best
-    less = one.rest._replace(model=one.less, plausible=plausible_limit(likelihood, state.model))
+    less = one.rest._replace(model=one.less, plausible=worth.plausible_limit(
+        likelihood, state.model))
     before, after = held_out.torque(less), held_out.errors(state).torque
     better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
     matters = bool(np.any(better >= thresholds.PRACTICAL))
@@ -123,7 +118,8 @@ def subsets(likelihood, found, held_out, fitted=lambda state: state) -> Iterator
     added, chosen = range(likelihood.known, len(found.best.model.robot.effects)), ()
 
     def tried(some):
-        return some, fitted(with_fewer(likelihood, found, *(i for i in added if i not in some)))
+        return some, fitted(worth.with_fewer(
+            likelihood, found, *(i for i in added if i not in some)))
     while len(chosen) < len(added) - 1:
         chosen, state = min((tried((*chosen, i)) for i in added if i not in chosen),
                             key=lambda one: held_out.energy(one[1]))
@@ -133,7 +129,7 @@ def subsets(likelihood, found, held_out, fitted=lambda state: state) -> Iterator
 def predicting_subset(likelihood, found, held_out) -> State:
     """Return the State of all effects found, none, or the first `subsets` that predicts best."""
     added = range(likelihood.known, len(found.best.model.robot.effects))
-    best = with_fewer(likelihood, found, *added) if added else found.best
+    best = worth.with_fewer(likelihood, found, *added) if added else found.best
     for state in subsets(likelihood, found, held_out):
         if held_out.energy(state) >= held_out.energy(best):
             break
@@ -150,7 +146,7 @@ def _alone(likelihood, found, worths, held_out):
     best = min(single, key=held_out.energy)
     if thresholds.BETTER * held_out.energy(best) > held_out.energy(found.best):
         return found, worths
-    other, others = pruned(likelihood, found._replace(best=best))
+    other, others = worth.pruned(likelihood, found._replace(best=best))
     return (other, others) if others else (found, worths)
 
 

@@ -12,15 +12,8 @@ Faults of the data, which no physics can mend, are looked for before any of that
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
+from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import (
-    derivatives,
-    low_pass,
-    low_pass_window,
-    means_held,
-    noise_of,
-    quantum,
-)
 from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification import sampling_checks
@@ -125,11 +118,11 @@ def make_samples(joints, time, period, readings, command, supply, commanded, sou
     command = np.ascontiguousarray(command)
     for link in unseen:
         j, motor = link.joint, readings[:, 1, link.joint]
-        readings[:, 0, j] = low_pass(
+        readings[:, 0, j] = analysis.low_pass(
             motor - (held_triangle(command)[:, j] - link.inertia * second_difference(
                 motor, period)) / link.stiffness, link.window)
     noise = np.sqrt(np.mean(np.diff(readings, 3, axis=0) ** 2, axis=0) / 20.0)
-    states = np.stack(derivatives(readings, period, smoothing(period)), axis=2).reshape(
+    states = np.stack(analysis.derivatives(readings, period, smoothing(period)), axis=2).reshape(
         len(time), 6, len(joints))
     return Samples(tuple(joints), time, period, readings, np.ascontiguousarray(states), noise,
                    np.ones(len(time), dtype=bool), command, supply, commanded, source, unseen)
@@ -161,7 +154,7 @@ def smoothing(period) -> int:
 
 def encoder_step(angle, noise) -> float:
     """Return the count of an encoder by its readings (T,) [rad], 0 if they have no steps."""
-    step = quantum(angle)
+    step = analysis.quantum(angle)
     return step if noise < _FINE * step / np.sqrt(12.0) else 0.0
 
 
@@ -178,9 +171,10 @@ def unseen_links(recording, robot) -> tuple:
         stiffness, inertia = float(arm.stiffness[j]), float(arm.motor_inertia[j])
         # the fourth derivative of white noise of density 2 noise^2 period reaches the equation
         carried = inertias[j] * inertia / stiffness * (2.0 * np.pi) ** 4
-        density = 2.0 * noise_of(recording.q_motor[:, j]) ** 2 * recording.period * carried ** 2
+        noise = analysis.noise_of(recording.q_motor[:, j])
+        density = 2.0 * noise ** 2 * recording.period * carried ** 2
         band = (9.0 * (_INERTIA_NOISE * _usual_torque(recording, j)) ** 2 / density) ** (1.0 / 9.0)
-        found.append(UnseenLink(j, stiffness, inertia, low_pass_window(
+        found.append(UnseenLink(j, stiffness, inertia, analysis.low_pass_window(
             np.clip(band, *_BAND), recording.period)))
     return tuple(found)
 
@@ -247,7 +241,7 @@ def held_torque(recording, time, period) -> np.ndarray:
 def mean_held(torque, since, time, period) -> np.ndarray:
     """Return the mean from each of even times (T,) on of torques (K, n) held ``since`` (K,)."""
     until = np.append(since, max(since[-1], time[-1]) + 2.0 * period)
-    return means_held(torque, until, np.append(time, time[-1] + period))
+    return analysis.means_held(torque, until, np.append(time, time[-1] + period))
 
 
 def held(values) -> np.ndarray:

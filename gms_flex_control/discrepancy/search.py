@@ -9,18 +9,9 @@ set have one effect more, another in the place of one, or one in the place of tw
 from itertools import combinations
 from typing import NamedTuple
 
+from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of
 from gms_flex_control.discrepancy.evidence import is_of_other_size, State, state_of
-from gms_flex_control.discrepancy.fitting import (
-    columns_without,
-    extended,
-    fit,
-    is_at_limit,
-    is_within,
-    refitted,
-    retuned,
-    without,
-)
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PLAUSIBLE
 import numpy as np
@@ -112,12 +103,12 @@ class _Search:
         self._likelihood, self._say, self._known = likelihood, say, likelihood.known
         x = begin.before.model.x if begin else np.zeros(len(likelihood.nuisances))
         # where nuisance parameters stand for something else, nothing would be left to explain
-        plausible, self.nuisances = retuned(likelihood, likelihood.robot, x, PLAUSIBLE)
+        plausible, self.nuisances = fitting.retuned(likelihood, likelihood.robot, x, PLAUSIBLE)
         self.hypotheses = begin.hypotheses if begin else count_of(likelihood, excluded)
         say('every effect along the motion')
         self.dictionary, self.tried = Dictionary(likelihood, plausible, excluded), {}
         self.before = State(plausible, self.nuisances, self.nuisances[:0], -np.inf, PLAUSIBLE)
-        self.best = self._tried(*retuned(
+        self.best = self._tried(*fitting.retuned(
             likelihood, likelihood.robot, np.where(np.abs(x) > np.abs(plausible.x), x,
                                                    plausible.x), columns=self.nuisances))
         self.first = begin.first if begin else tuple(
@@ -139,11 +130,12 @@ class _Search:
         return self.tried[key]
 
     def _is_at_limit(self, model):
-        return any(is_at_limit(spec, model.robot) for spec in model.robot.effects[self._known:])
+        return any(fitting.is_at_limit(spec, model.robot)
+                   for spec in model.robot.effects[self._known:])
 
     def _take(self, model):
         """Go on with a model, its effects fitted together."""
-        self.best = self._tried(*refitted(
+        self.best = self._tried(*fitting.refitted(
             self._likelihood, model.robot, model.x, self.nuisances))
 
     def take_up(self, begin) -> None:
@@ -207,15 +199,15 @@ class _Search:
         """
         model = state.model
         yield model, state.columns, np.inf
-        if not is_within(self._likelihood, model, PLAUSIBLE):
+        if not fitting.is_within(self._likelihood, model, PLAUSIBLE):
             columns = np.concatenate([self.nuisances, state.own])
-            yield (fit(self._likelihood, model.robot, model.x, columns, plausible=PLAUSIBLE),
-                   columns, PLAUSIBLE)
+            yield (fitting.fit(self._likelihood, model.robot, model.x, columns,
+                               plausible=PLAUSIBLE), columns, PLAUSIBLE)
 
     def _with(self, spec, model, columns):
         """Return the State of a model with one effect more, None if it ends at a limit."""
-        model = fit(self._likelihood, with_effect(model.robot, spec), model.x, columns)
-        return None if self._is_at_limit(model) else self._tried(model, extended(
+        model = fitting.fit(self._likelihood, with_effect(model.robot, spec), model.x, columns)
+        return None if self._is_at_limit(model) else self._tried(model, fitting.extended(
             self._likelihood, model, columns, len(model.robot.effects) - 1))
 
     def _anew(self, state, x):
@@ -230,8 +222,8 @@ class _Search:
                 break
             x = model.x
             nuisances = likelihood.columns(model)
-            state = max(state, self._tried(*refitted(likelihood, model.robot, x, nuisances)),
-                        key=lambda one: one.evidence)
+            state = max(state, self._tried(*fitting.refitted(
+                likelihood, model.robot, x, nuisances)), key=lambda one: one.evidence)
             model = state.model
         return state
 
@@ -250,11 +242,11 @@ class _Search:
     def _instead_of(self, *dropped):
         """Try a model without some effects, and with another in their place."""
         likelihood, model = self._likelihood, self.best.model
-        robot = without(model.robot, *dropped)
-        others = columns_without(likelihood, model, self.best.columns, *dropped)
-        anything = fit(likelihood, robot, model.x, others)
+        robot = fitting.without(model.robot, *dropped)
+        others = fitting.columns_without(likelihood, model, self.best.columns, *dropped)
+        anything = fitting.fit(likelihood, robot, model.x, others)
         states = [self._tried(anything, others)]
-        less = anything if is_within(likelihood, anything, PLAUSIBLE) else fit(
+        less = anything if fitting.is_within(likelihood, anything, PLAUSIBLE) else fitting.fit(
             likelihood, robot, model.x, others, plausible=PLAUSIBLE)
         loss, keys = less.cost - model.cost, {model.robot.effects[i].key for i in dropped}
         for one in self.dictionary.ranked(less, others, PLAUSIBLE)[:_SHORTLIST]:

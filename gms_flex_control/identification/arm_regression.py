@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification import robust_regression
 from gms_flex_control.identification.arm_differences import (
     alike,
     BaseFit,
@@ -40,13 +41,6 @@ from gms_flex_control.identification.inertial_parameters import (
     sizes_of_body,
     ten_numbers,
     UNITS,
-)
-from gms_flex_control.identification.robust_regression import (
-    block_scores,
-    first_coefficient,
-    heavy_tailed,
-    regress,
-    weighting_of,
 )
 from gms_flex_control.identification.segments import drive_sides, rigid_where
 from gms_flex_control.identification.uncertainty import (
@@ -227,7 +221,7 @@ class ArmRegression:
         """Return what friction adds per torque carried at one joint, and its standard error."""
         left, rows = self._left(j)
         columns = np.concatenate([self._load_column(j)[rows, None], self._own(j, rows)], axis=1)
-        return first_coefficient(columns, left, self._rows.block[rows], _MEMORY)
+        return robust_regression.first_coefficient(columns, left, self._rows.block[rows], _MEMORY)
 
     def _left(self, j):
         """Return the torque that links do not explain where a joint moves, and these rows."""
@@ -255,9 +249,9 @@ class ArmRegression:
             pull[layout.loads] = -at.loads[layout.unknown].ravel()
             pull[layout.coupled] = -at.coupled
             left = rows.torque - at.scale * model
-            weighting = weighting or weighting_of(columns, left, rows.rate, self._own,
-                                                  rows.recording)
-            self._last = _Regression(*regress(
+            weighting = weighting or robust_regression.weighting_of(
+                columns, left, rows.rate, self._own, rows.recording)
+            self._last = _Regression(*robust_regression.regress(
                 columns, left, rows.rate, rows.block, self._own, precision, pull, weighting,
                 self._expected if len(self._base.lead) else None),
                 [rows for rows, _ in weighting])
@@ -287,7 +281,7 @@ class ArmRegression:
         rows, layout = self._rows, self._layout
         precision = np.zeros(layout.coupled.stop)
         precision[layout.zeros] = _ZERO_SD ** -2
-        precision[layout.scales] = heavy_tailed(
+        precision[layout.scales] = robust_regression.heavy_tailed(
             np.log(self._guess / self._at.scale)[layout.free], self._prior_sd[layout.free])
         body = self._arm.mass.sum() * OF_BODY
         precision[layout.loads] = np.concatenate([np.zeros(0), *(
@@ -318,7 +312,8 @@ class ArmRegression:
         more. No parameter is said to be better known than that, since few blocks agree by chance.
         """
         inverse = inverse_of(self._last.normal)
-        scores = block_scores(self._last.pieces, self._last.step, self._last.normal)
+        scores = robust_regression.block_scores(
+            self._last.pieces, self._last.step, self._last.normal)
         links = self._layout.links if len(self._base.lead) else slice(None)
         return inverse, scores, memory_of(inverse, self._precision(), scores, links)
 

@@ -10,17 +10,10 @@ import warnings
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.errors import IdentificationError, own_warnings
 from gms_flex_control.friction import steady_friction
+from gms_flex_control.identification import assumed_robot, prediction_error, uncertainty
 from gms_flex_control.identification.arm_differences import difference_estimates
 from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.arm_regression import fit_differences
-from gms_flex_control.identification.assumed_robot import (
-    at_own_rate,
-    believed_model,
-    cleared,
-    only_joints,
-    with_load_friction,
-    with_torques,
-)
 from gms_flex_control.identification.believed_arm import Believed, believed
 from gms_flex_control.identification.coordinates import friction_record, STATICS
 from gms_flex_control.identification.criterion import choose_fit, simple_theta
@@ -39,13 +32,6 @@ from gms_flex_control.identification.objective import (
     observer_bandwidth,
 )
 from gms_flex_control.identification.outcome import Identification, JointResult
-from gms_flex_control.identification.prediction_error import (
-    coupling_sentences,
-    held_out_errors,
-    loops_of,
-    presliding_reach,
-    traces_of,
-)
 from gms_flex_control.identification.recording_checks import require
 from gms_flex_control.identification.segments import (
     drive_sides,
@@ -59,12 +45,6 @@ from gms_flex_control.identification.segments import (
     while_moved,
 )
 from gms_flex_control.identification.selection import CANDIDATES, few_blocks, objectives_of
-from gms_flex_control.identification.uncertainty import (
-    curve_of,
-    estimates_of,
-    shown_displacements,
-    spread_of,
-)
 from gms_flex_control.params.robot import FrictionParams, RobotParams, StribeckParams, widened
 import numpy as np
 
@@ -119,9 +99,10 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
     with own_warnings() as caught, in_one_thread():  # joints have threads of their own
         say('checking the data')
         whole = options.estimate == 'all'
-        model = believed_model(widened(robot, options.widened), whole, options.force)
-        recordings, holdouts = ([(with_torques(at_own_rate(one), robot), phases)
-                                 for one, phases in several] for several in (recordings, holdouts))
+        model = assumed_robot.believed_model(widened(robot, options.widened), whole, options.force)
+        recordings, holdouts = (
+            [(assumed_robot.with_torques(assumed_robot.at_own_rate(one), robot), phases)
+             for one, phases in several] for several in (recordings, holdouts))
         for recording, _ in (*recordings, *holdouts):
             for finding in require(recording, model, force=options.force, rough=whole):
                 if finding.kind != 'torque_scale' or not whole:
@@ -182,7 +163,7 @@ class Data:
 
     def __init__(self, given, holdouts, robot, whole=False, beside=None):
         half = half_count(given[0][0].of_joints(robot.joints), robot)  # of readings as they are
-        recordings = [cleared(one.of_joints(robot.joints), robot)
+        recordings = [assumed_robot.cleared(one.of_joints(robot.joints), robot)
                       for one, _ in (*given, *holdouts)]
         period, joints = _common_period(recordings), range(robot.n_joints)
         self.arm_fit = estimate_arm(recordings[:len(given)], robot) if whole else None
@@ -218,7 +199,8 @@ class Data:
         self._driven = np.any([driven(one, self.sides) for one in recordings[:len(given)]], axis=0)
         self.fitted = self._joints_to_fit()  # all that follows is of these joints
         if len(self.fitted) < robot.n_joints:
-            self.robot = only_joints(self.robot, [robot.joints[j] for j in self.fitted])
+            self.robot = assumed_robot.only_joints(
+                self.robot, [robot.joints[j] for j in self.fitted])
             self.sides, self.maps = ([one[j] for j in self.fitted] for one in (
                 self.sides, self.maps))
             segments, self._apart = ([one.of_joints(self.fitted) for one in several]
@@ -263,7 +245,7 @@ class Data:
     def with_friction(self, robot, fits) -> RobotParams:
         """Return a robot with the friction of JointFits, and what grows with the load."""
         per_load = self.arm_fit.loaded if self.arm_fit else np.zeros(robot.n_joints)
-        return with_load_friction(
+        return assumed_robot.with_load_friction(
             replace(robot, friction=robot.friction.with_joints(
                 self.fitted, _friction_params(fits))),
             per_load + (self.differences.loaded if self.differences else 0.0), self._steps)
@@ -301,7 +283,7 @@ class Data:
     def results(self, fits) -> tuple:
         """Return a JointResult per joint that was fitted, and the robot with the arm found."""
         objectives, thetas = objectives_of(self.bundle, fits), [fit.theta for fit in fits]
-        spreads = _per_joint(lambda choice, *found: choice.spread or spread_of(*found),
+        spreads = _per_joint(lambda choice, *found: choice.spread or uncertainty.spread_of(*found),
                              self.choices, objectives, fits)
         further, robot = [()] * self.described.n_joints, self.described
         if self.arm_fit and self.arm_fit.final:
@@ -325,25 +307,26 @@ class Data:
         top = np.abs(self.maps[joint].velocity).max()
         velocity = np.concatenate([-np.geomspace(top, 1e-4 * top, _VELOCITIES),
                                    np.geomspace(1e-4 * top, top, _VELOCITIES)])
-        estimates = estimates_of(
+        estimates = uncertainty.estimates_of(
             self.robot.joints[joint], fit.coordinates, fit.free, spread,
-            presliding_reach(objective, theta), travel(bundle.segments, joint), fit.rivals, top)
-        curve = curve_of(fit, spread, shown_displacements(
+            prediction_error.presliding_reach(objective, theta),
+            travel(bundle.segments, joint), fit.rivals, top)
+        curve = uncertainty.curve_of(fit, spread, uncertainty.shown_displacements(
             estimates, theta[STATICS].mean(), self.step[joint], _CURVE_POINTS))
         return JointResult(
             joint=self.robot.joints[joint], side=self.sides[joint], estimates=estimates + further,
             curve=curve, friction_map=self.maps[joint], steady_velocity=velocity,
             steady_torque=steady_friction(velocity[:, None], _friction_params([fit]))[:, 0],
-            loops=loops_of(objective, theta),
-            traces=traces_of(objective, theta, held_out(bundle.period)),
+            loops=prediction_error.loops_of(objective, theta),
+            traces=prediction_error.traces_of(objective, theta, held_out(bundle.period)),
             candidates=tuple(one._replace(chosen=one.n_blocks == fit.coordinates.n_blocks)
                              for one in fit.candidates),
             held_out=self._errors(objective, fit), warnings=self._sentences(objective, fit))
 
     def _sentences(self, objective, fit):
-        coupled = coupling_sentences(objective, fit.theta, self.robot.joints,
-                                     held_out(self.bundle.period), self._apart,
-                                     self.described.arm.frames is not None)
+        coupled = prediction_error.coupling_sentences(
+            objective, fit.theta, self.robot.joints, held_out(self.bundle.period), self._apart,
+            self.described.arm.frames is not None)
         return (*self.choices[objective.joint].sentences, *few_blocks(fit), *coupled)
 
     def _errors(self, objective, fit):
@@ -353,7 +336,7 @@ class Data:
             judged = objective.of(bundle=bundle._replace(segments=tuple(self._apart)))
             theta, chosen = fit.theta, everything
         simple = simple_theta(objective, fit, self.step[joint], bool(self._apart))
-        return held_out_errors(
+        return prediction_error.held_out_errors(
             judged, theta, simple, chosen, self.step[joint], repeatability(
                 bundle.segments, self.robot.arm, joint, bundle.period, bundle.half[joint]))
 

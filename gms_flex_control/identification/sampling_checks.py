@@ -1,16 +1,8 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Faults of stamps, angles and rates: lost samples, jumps, frozen values, too little motion."""
 
+from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import (
-    derivative_slope,
-    derivative_window,
-    is_moving,
-    NORMAL_MEDIAN,
-    quantum,
-    runs,
-    smoothed,
-)
 from gms_flex_control.identification import check_limits as limits
 from gms_flex_control.identification.check_basis import Finding, sides
 from gms_flex_control.params.robot import RobotParams
@@ -106,8 +98,8 @@ def _holes(signals, joint, name, values, needed):
     elif share >= limits.MISSING_WARN or lost.size > limits.MISSING_MOST:
         severity = 'refuse' if share > limits.MISSING_REFUSE else 'warn'
         text = (f'the {name} of {joint} is no number in {lost.size} samples '
-                f'({100 * share:.2g} %), {np.diff(runs(~np.isfinite(values))).max()} in a row, '
-                f'first at {signals.time[lost[0]]:.3f} s; leave that part out')
+                f'({100 * share:.2g} %), {np.diff(analysis.runs(~np.isfinite(values))).max()} in '
+                f'a row, first at {signals.time[lost[0]]:.3f} s; leave that part out')
     else:
         return
     yield Finding('missing', joint, severity, f'{signals.source}: {text}')
@@ -120,12 +112,13 @@ def motion(signals: Recording) -> list[Finding]:
         q = signals.q_link[:, j]
         if np.isfinite(q).sum() < limits.FEWEST:
             continue
-        filtered, = smoothed(signals.time, [q], derivative_window(signals.time, q))
+        filtered, = analysis.smoothed(
+            signals.time, [q], analysis.derivative_window(signals.time, q))
         if not len(filtered.value):
             continue
         noise = np.nanstd(np.diff(q)) / np.sqrt(2)
         span = np.ptp(filtered.value)
-        if span <= limits.STILL_STEPS * max(quantum(q), min(noise, span)):
+        if span <= limits.STILL_STEPS * max(analysis.quantum(q), min(noise, span)):
             still.append((joint, float(np.nanmax(q) - np.nanmin(q))))
         else:
             found += _one_way(signals.source, joint, filtered)
@@ -154,7 +147,7 @@ def units(signals: Recording, robot: RobotParams) -> list[Finding]:
 
 
 def _one_way(source, joint, filtered):
-    steps = np.diff(filtered.value)[is_moving(filtered.first)[1:]]
+    steps = np.diff(filtered.value)[analysis.is_moving(filtered.first)[1:]]
     forward, backward = steps[steps > 0].sum(), -steps[steps < 0].sum()
     if min(forward, backward) >= limits.ONE_WAY * max(forward, backward):
         return
@@ -170,7 +163,7 @@ def rates(signals: Recording) -> list[Finding]:
     found = []
     for j, joint in enumerate(signals.joints):
         for side, q, dq in sides(signals, j):
-            judged = derivative_slope(signals.time, q, dq)
+            judged = analysis.derivative_slope(signals.time, q, dq)
             if judged is None or _within(judged, limits.SLOPE, limits.SLOPE_FIT):
                 continue
             slope, fit = judged
@@ -192,7 +185,7 @@ def broken(signals: Recording) -> list[Finding]:
     found = []
     for j, joint in enumerate(signals.joints):
         for side, q, _ in sides(signals, j):
-            top, unit = signals.period * _top_speed(signals.time, q), quantum(q)
+            top, unit = signals.period * _top_speed(signals.time, q), analysis.quantum(q)
             grain = max(unit, 3 * _noise(q))
             held = _while_moving(q, np.diff(q) == 0, max(3 * grain, 0.05 * top))
             found += _frozen(signals, joint, f'the {side} angle of {joint} stays', held)
@@ -213,7 +206,7 @@ def _noise(q):
     """Return about the standard deviation of the noise of an angle (T,)."""
     bends = np.abs(np.diff(q, 2))
     bends = bends[np.isfinite(bends)]
-    return float(np.median(bends)) / (NORMAL_MEDIAN * np.sqrt(6)) if bends.size else 0.0
+    return float(np.median(bends)) / (analysis.NORMAL_MEDIAN * np.sqrt(6)) if bends.size else 0.0
 
 
 def _while_moving(q, equal, step):
@@ -222,7 +215,7 @@ def _while_moving(q, equal, step):
 
     Of those on both sides of which the angle moves one way by ``step`` a sample.
     """
-    found = runs(equal)
+    found = analysis.runs(equal)
     first, end = found[(found[:, 0] >= _BESIDE) & (found[:, 1] + _BESIDE < len(q))].T
     before = (q[first] - q[first - _BESIDE]) / _BESIDE
     after = (q[end + _BESIDE] - q[end]) / _BESIDE

@@ -6,17 +6,8 @@ from dataclasses import dataclass, replace
 from itertools import zip_longest
 import warnings
 
+from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import (
-    derivatives,
-    means_held,
-    means_to_next,
-    noise_of,
-    odd_window,
-    quantum,
-    smoothing_window,
-    white_noise_of,
-)
 from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.assumed_robot import effect_torque
@@ -111,9 +102,9 @@ def _spring_mismatch(recording, robot, j):
     # a state has the mean torque of the sample before it
     tau = np.interp(grid, time - 0.5 * period, recording.tau_motor[known, j])
     inertia = max(robot.arm.motor_inertia[j], robot.arm.stiffness[j] * period ** 2)
-    window = max(smoothing_window(period, noise_of(q_motor), inertia, np.std(tau)),
-                 odd_window(_AGREE_WINDOW / period))
-    smooth = [derivatives(x, period, window) for x in (q_link, q_motor, tau)]
+    window = max(analysis.odd_window(_AGREE_WINDOW / period), analysis.smoothing_window(
+        period, analysis.noise_of(q_motor), inertia, np.std(tau)))
+    smooth = [analysis.derivatives(x, period, window) for x in (q_link, q_motor, tau)]
     spring = robot.arm.stiffness[j] * (smooth[1][0] - smooth[0][0]) + robot.arm.damping[j] * (
         smooth[1][1] - smooth[0][1])
     motor = smooth[2][0] - robot.arm.motor_inertia[j] * smooth[1][2]
@@ -190,10 +181,12 @@ def _segment(recording, robot, sides, phases, rows, period, even):
     torque += effect_torque(robot, grid - recording.time[0], whole,
                             _motors(recording, grid, time, rows), torque, period)
     known = driven(recording, sides)
-    windows = [smoothing_window(period, noise_of(recording.q_link[:, j]), inertia,
-                                np.std(torque[:, j]) if known[j] else np.inf)
-               for j, inertia in enumerate(own_inertias(robot.arm))]
-    smooth = [derivatives(whole[:, j], period, window) for j, window in enumerate(windows)]
+    windows = [analysis.smoothing_window(
+        period, analysis.noise_of(recording.q_link[:, j]), inertia,
+        np.std(torque[:, j]) if known[j] else np.inf)
+        for j, inertia in enumerate(own_inertias(robot.arm))]
+    smooth = [analysis.derivatives(whole[:, j], period, window)
+              for j, window in enumerate(windows)]
     tested, phase = _tested(phases, recording, grid, robot.joints)
     return Segment(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
@@ -224,7 +217,7 @@ def one_by_one(pieces: list, robot: RobotParams, loads: Sequence = (),
         taken = torque - inertia * piece.acceleration
         if per_load is not None:
             taken += friction_by_load(piece, torque, per_load)
-        taken = means_to_next(taken)  # as the drive is
+        taken = analysis.means_to_next(taken)  # as the drive is
         return replace(piece, torque=piece.torque - taken, taken=piece.taken + taken)
 
     nothing = np.zeros(n)
@@ -281,16 +274,16 @@ def _spring(recording, robot, j, grid, time, rows, q_link):
     if robot.arm.damping[j] > 0.0:
         period = grid[1] - grid[0]
         torsion = q_motor - q_link
-        torque = torque + robot.arm.damping[j] * derivatives(
-            torsion, period, odd_window(_DAMPING_WINDOW / period))[1]
-    return means_to_next(torque)
+        torque = torque + robot.arm.damping[j] * analysis.derivatives(
+            torsion, period, analysis.odd_window(_DAMPING_WINDOW / period))[1]
+    return analysis.means_to_next(torque)
 
 
 def _motor(recording, j, grid, time, rows):
     """Return the torque held over each period; a state reports that of the period before it."""
     torque = recording.tau_motor[rows, j]
     known = np.isfinite(torque) | (np.arange(len(torque)) == 0)
-    mean = means_held(torque[known][1:], time[known], grid)
+    mean = analysis.means_held(torque[known][1:], time[known], grid)
     return np.append(mean, mean[-1])
 
 
@@ -310,7 +303,7 @@ def half_count(recording: Recording, robot: RobotParams) -> np.ndarray:
     half = np.zeros(robot.n_joints)
     for j in range(robot.n_joints):
         values = recording.q_link[np.isfinite(recording.q_link[:, j]), j]
-        step = quantum(values)
+        step = analysis.quantum(values)
         if step > 0.0:
             counts = np.diff(values) / step
             whole = np.abs(counts - np.round(counts)) < 0.02
@@ -324,7 +317,7 @@ def resolution(segments: Sequence[Segment], joint: int, count: float) -> float:
     """Return the encoder step, or three times the noise where there is no step [rad]."""
     if count > 0.0:
         return count
-    noise = [white_noise_of(segment.angle[:, joint]) for segment in segments]
+    noise = [analysis.white_noise_of(segment.angle[:, joint]) for segment in segments]
     return max(3.0 * float(np.nanmedian(noise)), 1e-9)
 
 
