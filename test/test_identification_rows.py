@@ -34,8 +34,7 @@ def test_a_joint_with_fewer_rows_than_numbers_has_no_say():
                              lambda joint, rows: np.eye(samples)[rows][:, :3], None)
     assert not weighting[1][1].any()
     weighting[0] = weighting_of(regressors[:, :1], torque[:, :1], rate[:, :1], friction)[0]
-    values, _, _ = regress(regressors, torque, rate, np.arange(samples) // 30, friction,
-                           weighting=weighting)
+    values, _, _ = regress(regressors, torque, np.arange(samples) // 30, friction, weighting)
     np.testing.assert_allclose(values, truth, atol=0.05)
 
 

@@ -77,7 +77,7 @@ class FreeRuns(NamedTuple):
     found: np.ndarray    # and of that with them
 
 
-def free_runs_of(behind, holdout=()) -> FreeRuns:
+def free_runs_of(behind, holdout) -> FreeRuns:
     """Return the free runs of a search's models on the first recording held out, else fitted."""
     likelihood = behind.likelihood
     motion = motion_of(holdout[0], likelihood.robot) if holdout else likelihood.motions[0]

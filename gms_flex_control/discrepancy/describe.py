@@ -120,7 +120,7 @@ def of_noise(noise) -> str:
     return f'{where}: {per_sample}{scale.text(noise.rms)} {scale.unit} rms up to 8 Hz, {colour}'
 
 
-def paragraph(result, unseen=(), known_off=None) -> tuple:
+def paragraph(result, unseen, known_off) -> tuple:
     """Return one paragraph on a Discrepancy, and what of it an answer in short leaves out."""
     if result.verdict == BAD_DATA:
         return result.words, ''

@@ -185,17 +185,9 @@ class NormalEquations:
     """
     Products of a model's columns group by group, which any noise levels can weigh.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    model : Fitted
-        Where the columns were taken.
-    columns : ndarray, shape (C, R)
-        Derivatives by nuisance parameters, then by numbers of its effects.
-    plausible : float or ndarray, shape (P,)
-        Standard deviations of their priors that nuisance parameters may go.
-
+    ``columns`` (C, R) are derivatives of a Fitted by nuisance parameters, then by numbers of its
+    effects; nuisance parameters may go ``plausible`` standard deviations of their priors, a number
+    or (P,).
     """
 
     def __init__(self, likelihood, model, columns, plausible=np.inf):

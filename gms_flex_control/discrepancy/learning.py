@@ -8,7 +8,6 @@ and by free runs.
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.discrepancy import fitting
@@ -39,18 +38,6 @@ _REACH = 1e-3         # of the range of angles, from rest to sliding
 _COUNTS = 4.0         # of the encoder, likewise
 _STILL = 3e-3, 0.03   # of the rms of the rate: so slow is nearly at rest
 _FREQUENCIES, _DAMPING = (2.0, 16.0), 0.05  # of a resonance [Hz], [1]
-
-
-class _Candidate(NamedTuple):
-    """A model with one more term."""
-
-    state: State          # with it
-    others: np.ndarray    # columns without it (C, R)
-
-    @property
-    def spec(self) -> EffectSpec:
-        """Return the term."""
-        return self.state.model.robot.effects[-1]
 
 
 def learn(result, *, holdout=(), say=lambda text: None) -> Discrepancy:
@@ -155,44 +142,41 @@ class _Learning:
         """Return a State with terms, LearnedTerm of each, its Gap, words on a drift or ''."""
         terms, gap, drift = [], self._gap(state), ''
         while len(terms) < MOST_TERMS:
-            for one in sorted(self._candidates(state), key=lambda one: -one.state.evidence)[
-                    :_TRIED]:
-                if one.state.evidence < state.evidence + EVIDENCE:
+            for one in sorted(self._candidates(state), key=lambda one: -one.evidence)[:_TRIED]:
+                if one.evidence < state.evidence + EVIDENCE:
                     return state, tuple(terms), gap, drift
-                gain = self._gain(one, state)
+                spec, gain = one.model.robot.effects[-1], self._gain(one, state)
                 if not gain.is_real(self.likelihood.caution):
                     continue
-                if not shapes.LEARNED[one.spec.name].written:
-                    drift = (f'What is unexplained includes {self._described(one)[0]}: it belongs '
-                             'to this recording and is not in the model.')
+                if not shapes.LEARNED[spec.name].written:
+                    drift = (f'What is unexplained includes {self._described(spec)[0]}: it '
+                             'belongs to this recording and is not in the model.')
                     continue
-                closer = self._closer(one.state, gap)
+                closer = self._closer(one, gap)
                 if closer is not None:
                     break
             else:
                 return state, tuple(terms), gap, drift
-            formula, error = self._described(one)
-            terms.append(LearnedTerm(one.spec.name, one.spec.joint, formula, error,
-                                     self._freedom(one), gain))
-            state, gap = one.state, closer
-            self._say(f'learned {one.spec.name} of {one.spec.joint}')
+            formula, error = self._described(spec)
+            terms.append(LearnedTerm(*spec.key, formula, error, self._freedom(one), gain))
+            state, gap = one, closer
+            self._say(f'learned {spec.name} of {spec.joint}')
         return state, tuple(terms), gap, drift
 
     def _gap(self, state):
         return HeldOut(self.likelihood, self._measured).gap(self._before, state)
 
-    def _described(self, one):
-        """Return what the term of a candidate looks like, and the error of that."""
+    def _described(self, spec):
+        """Return what a term looks like, and the error of that."""
         robot = self.likelihood.robot
-        ranges = self._ranges[robot.joints.index(one.spec.joint)]
-        return described(one.spec, ranges.get(shapes.LEARNED[one.spec.name].variable()), robot.arm)
+        ranges = self._ranges[robot.joints.index(spec.joint)]
+        return described(spec, ranges.get(shapes.LEARNED[spec.name].variable()), robot.arm)
 
     def _gain(self, one, state):
-        """Return the Gain of a candidate on blocks left out, over the model without it."""
-        likelihood, change = self.likelihood, state.model.rows - one.state.model.rows
-        return gain_of(likelihood, *((each.model, each.columns) for each in (one.state, state)),
-                       change, np.minimum(plausible_limit(likelihood, one.state.model),
-                                          self._plausible))
+        """Return the Gain of a State with a term on blocks left out, over that without it."""
+        likelihood, change = self.likelihood, state.model.rows - one.model.rows
+        return gain_of(likelihood, *((each.model, each.columns) for each in (one, state)), change,
+                       np.minimum(plausible_limit(likelihood, one.model), self._plausible))
 
     def _closer(self, state, gap):
         """Return the Gap of a model if it is clearly less in torque and no more in free runs."""
@@ -202,11 +186,12 @@ class _Learning:
         return other if _is_closer(self.likelihood, other, gap) else None
 
     def _freedom(self, one):
-        """Return how many parameters of a term the data determine, its effective parameters."""
-        likelihood, model = self.likelihood, one.state.model
-        columns = fitting.informative(likelihood, model, one.state.columns)[len(one.others):]
-        values, size = np.array(one.spec.values[:len(columns)]), [
-            number.sd for number in fitting.numbers_of(likelihood, model.robot)[-len(columns):]]
+        """Return how many parameters of the last term the data determine, effectively."""
+        likelihood, model, spec = self.likelihood, one.model, one.model.robot.effects[-1]
+        count = shapes.LEARNED[spec.name].count
+        columns = fitting.informative(likelihood, model, one.columns)[-count:]
+        values, size = np.array(spec.values[:count]), [
+            number.sd for number in fitting.numbers_of(likelihood, model.robot)[-count:]]
         scaled = (columns * np.array(size)[:, None])[values != 0.0]
         known = np.linalg.eigvalsh((scaled * likelihood.weights(model.sums.groups)) @ scaled.T)
         return float(np.sum(np.maximum(known, 0.0) / (1.0 + np.maximum(known, 0.0))))
@@ -214,7 +199,7 @@ class _Learning:
     # --- candidates --------------------------------------------------------------------------
 
     def _candidates(self, state):
-        """Return the best _Candidate of each kind and joint that a model lacks."""
+        """Return the best State with a term of each kind and joint that a model lacks."""
         there = {one.key for one in state.model.robot.effects}
         found = {}
         for spec in self._begun:
@@ -223,16 +208,16 @@ class _Learning:
             here = [self._fitted(state, spec)]
             if _used(spec) == shapes.KNOTS and shapes.LEARNED[spec.name].variable() != 'time':
                 for zoom in _ZOOMS:
-                    here.append(self._fitted(state, _window(here[-1].spec, spec, zoom)))
-                    if here[-1].state.evidence < here[-2].state.evidence:
+                    here.append(self._fitted(state, _window(
+                        here[-1].model.robot.effects[-1], spec, zoom)))
+                    if here[-1].evidence < here[-2].evidence:
                         break
-            key = spec.name, spec.joint
-            here += [found[key]] if key in found else []
-            found[key] = max(here, key=lambda one: one.state.evidence)
+            here += [found[spec.key]] if spec.key in found else []
+            found[spec.key] = max(here, key=lambda one: one.evidence)
         return list(found.values())
 
     def _fitted(self, state, spec):
-        """Return a _Candidate of a model with a term, all else re-tuned."""
+        """Return the State of a model with a term, all else re-tuned."""
         likelihood, base = self.likelihood, state.model
         kind = shapes.LEARNED[spec.name]
         count = kind.count
@@ -260,7 +245,7 @@ class _Learning:
                     < fitting.total_cost(likelihood, model)):
                 break
             model = other
-        return _Candidate(self._state(model, columns), state.columns)
+        return self._state(model, columns)
 
 
 def _ranges(likelihood, j):

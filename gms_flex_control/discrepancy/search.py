@@ -16,7 +16,6 @@ from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PLAUSIBLE
 import numpy as np
 
-MOST = 20
 _BEAM = 2             # sets that are followed, while there are few effects
 _FEW = 3              # effects: with more, one set is followed
 _SHORTLIST = 3        # hypotheses that are better when they are fitted in full
@@ -42,33 +41,14 @@ class Found(NamedTuple):
     is_done: bool      # whether no effects wait for noise that is simulated with those found
 
 
-def search(likelihood, *, most=MOST, excluded=(), begin=None, wait=False,
-           say=lambda text: None) -> Found:
+def search(likelihood, most, excluded, begin, wait, say) -> Found:
     """
-    Return the likeliest set of effects.
+    Return the likeliest set of at most so many effects, but those ``excluded`` (names).
 
     What null simulations of a robot lack that is found in it, their noise lacks as well: it may be
-    wrong by as much as a smaller effect gains.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    most : int
-        How many effects may be added.
-    excluded : collection of str
-        Effects that are left out.
-    begin : Found, optional
-        Of a search with other null simulations: its effects are begun with.
-    wait : bool
-        Whether effects wait for null simulations with those found if they gain much less.
-    say : callable, optional
-        Called with what is being done.
-
-    Returns
-    -------
-    Found
-
+    wrong by as much as a smaller effect gains. So effects that gain much less than those found may
+    ``wait`` for null simulations with these, of which the Found of the search before is where the
+    next one begins (else None). ``say`` is called with what is being done.
     """
     hunt = _Search(likelihood, excluded, begin, say)
     if begin is not None:
@@ -149,7 +129,7 @@ class _Search:
             self._take(state.model)
             self.best = max(best, self.best, key=lambda one: one.evidence)
 
-    def grow(self, most, begun=None) -> None:
+    def grow(self, most, begun) -> None:
         """
         Add effects to the best sets while the evidence grows.
 

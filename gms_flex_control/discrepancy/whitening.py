@@ -29,15 +29,7 @@ class Band:
     """
     The spectra of residual torques up to `HIGHEST`, ends and what was not read faded out.
 
-    Parameters
-    ----------
-    samples : int
-        Of residuals.
-    period : float
-        Sample [s].
-    known : ndarray, shape (T,)
-        Whether all angles were read, bool.
-
+    Of ``samples`` residuals every ``period`` [s]; ``known`` (T,) where all angles were read, bool.
     """
 
     def __init__(self, samples, period, known):
@@ -57,17 +49,9 @@ class Whitening:
     """
     Turns residual torques of C equations into numbers of unit variance, the whitened residuals.
 
-    Parameters
-    ----------
-    clean : ndarray, shape (R, T, C)
-        Residuals of R null simulations [N m].
-    period : float
-        Sample [s].
-    floor : ndarray, shape (C,)
-        Torque below which nothing matters, as white noise up to ``HIGHEST`` [N m].
-    known : ndarray, shape (T,)
-        Whether all angles were read, bool.
-
+    ``clean`` (R, T, C) are residuals of R null simulations every ``period`` [s] [N m], ``floor``
+    (C,) is the torque below which nothing matters, as white noise up to ``HIGHEST`` [N m];
+    ``known`` (T,) where all angles were read, bool.
     """
 
     def __init__(self, clean, period, floor, known):
@@ -232,15 +216,8 @@ class Groups:
     """
     What each of R whitened residuals is.
 
-    A group is one recording, one equation, one octave, links at rest or in motion.
-
-    Parameters
-    ----------
-    motions : sequence of Motion
-        The recordings.
-    whitenings : sequence of Whitening
-        Of each.
-
+    A group is one recording (Motion, and its Whitening), one equation, one octave, links at rest
+    or in motion.
     """
 
     def __init__(self, motions, whitenings):
@@ -295,17 +272,7 @@ class Groups:
 
 
 class WhitenedRecordings:
-    """
-    Whitened residuals of several recordings as one vector, what is usual of them left out.
-
-    Parameters
-    ----------
-    motions : sequence of Motion
-        The recordings.
-    whitenings : sequence of Whitening
-        One of each.
-
-    """
+    """Whitened residuals of several recordings, Motions with a Whitening each, as one vector."""
 
     def __init__(self, motions, whitenings):
         self.whitenings, self.groups = tuple(whitenings), Groups(motions, whitenings)
@@ -349,17 +316,7 @@ class WhitenedRecordings:
 
 
 class Grams:
-    """
-    Products of columns at any weights of groups, where most columns never change.
-
-    Parameters
-    ----------
-    groups : Groups
-        Of the residuals.
-    fixed : ndarray, shape (C, R)
-        Columns that never change.
-
-    """
+    """Products of columns at any weights of Groups, of which the ``fixed`` (C, R) never change."""
 
     def __init__(self, groups, fixed):
         ordered = groups.ordered(fixed)

@@ -170,8 +170,7 @@ def _result(likelihood, found, searched, after, findings, left, gap, retuned_alo
 def _searched(likelihood, options, say):
     """Return a search, with the noise of a robot like the one found if that is another."""
     def searched(begin=None, wait=True, without=options.without):
-        return search(likelihood, most=options.most, excluded=without, begin=begin, wait=wait,
-                      say=say)
+        return search(likelihood, options.most, without, begin, wait, say)
     found = None
     for k in range(_SIMULATED + 1):
         found = timed(likelihood, searched(found, k < _SIMULATED))
@@ -210,7 +209,7 @@ def _sound(likelihood, found):
         if is_followed(likelihood, state.model)), None)
 
 
-def _left_over(likelihood, model, free, gap, measured=None):
+def _left_over(likelihood, model, free, gap, measured):
     """Return the Signature of more than drive noise left, also in ``measured`` alone, or None."""
     share, joints = min(gap.energy_ratio, 1.0), likelihood.robot.joints
     for data, function in ((likelihood, free), *([(measured, None)] if measured else [])):

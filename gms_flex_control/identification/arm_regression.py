@@ -252,7 +252,7 @@ class ArmRegression:
             weighting = weighting or robust_regression.weighting_of(
                 columns, left, rows.rate, self._own, rows.recording)
             self._last = _Regression(*robust_regression.regress(
-                columns, left, rows.rate, rows.block, self._own, precision, pull, weighting,
+                columns, left, rows.block, self._own, weighting, precision, pull,
                 self._expected if len(self._base.lead) else None),
                 [rows for rows, _ in weighting])
             turned = self._last.step @ self._last.normal @ before < 0.0

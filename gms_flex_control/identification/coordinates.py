@@ -111,8 +111,7 @@ class Coordinates:
             alpha /= alpha.sum()
             d_alpha = (np.diag(alpha) - np.outer(alpha, alpha))[:, :-1]
         yields = np.exp(free[self._yields]) if self._fixed is None else self._fixed
-        statics = [STATIC, PER_DIRECTION + STATIC]
-        static, d_static = theta[statics].mean(), directions[statics].mean(axis=0)
+        static, d_static = theta[STATICS].mean(), directions[STATICS].mean(axis=0)
         theta[weight], theta[stiffness] = alpha, alpha * static / yields
         directions[weight, self._weights] = d_alpha
         directions[stiffness] = np.outer(alpha / yields, d_static)

@@ -99,7 +99,7 @@ def _at_an_extreme(tau):
     return clipped & (np.sum(still & ~clipped & (tau != 0)) < 0.3 * np.sum(clipped))
 
 
-def physics(signals: Recording, robot: RobotParams, rough=False) -> list[Finding]:
+def physics(signals: Recording, robot: RobotParams, rough: bool) -> list[Finding]:
     """
     Compare torque, sides and joints with the equations of motion.
 

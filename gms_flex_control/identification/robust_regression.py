@@ -110,24 +110,23 @@ def held_out_error(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -
     return float(np.mean(np.abs(off)))
 
 
-def regress(regressors, torque, rate, block, friction: Callable, precision=0.0, pull=0.0,
-            weighting=None, expected=None) -> tuple:
+def regress(regressors, torque, block, friction: Callable, weighting: Sequence, precision=0.0,
+            pull=0.0, expected=None) -> tuple:
     """
     Return weighted least squares of the torque (S, n) of all joints on regressors (S, n, B).
 
-    Each joint counts by its own noise, robustly, where it moves at ``rate`` (S, n); its friction,
-    columns ``friction(joint, rows)``, is eliminated. ``precision`` (B,) is that of priors at
-    ``pull`` (B,); ``weighting`` is that of `weighting_of` unless given. The values (B,), their
-    normal matrix (B, B) and, for each joint, regressors, torque, numbers of blocks of time and an
-    orthonormal basis of what was eliminated, scaled. ``expected(joint)`` (K, F) are sums of what
-    is eliminated that are 0 within one standard deviation: further rows, of block -1.
+    Each joint counts by the ``weighting`` of `weighting_of`; its friction, columns
+    ``friction(joint, rows)``, is eliminated. ``precision`` (B,) is that of priors at ``pull``
+    (B,). The values (B,), their normal matrix (B, B) and, for each joint, regressors, torque,
+    numbers of blocks of time and an orthonormal basis of what was eliminated, scaled.
+    ``expected(joint)`` (K, F) are sums of what is eliminated that are 0 within one standard
+    deviation: further rows, of block -1.
     """
     count = regressors.shape[2]
     normal = np.diag(np.broadcast_to(precision, count).astype(float))
     right = normal @ np.broadcast_to(pull, count)
     pieces = []
-    for j, (rows, root) in enumerate(weighting or weighting_of(regressors, torque, rate,
-                                                               friction)):
+    for j, (rows, root) in enumerate(weighting):
         own, samples = friction(j, rows) * root[:, None], len(root)
         own = own if expected is None else np.concatenate([own, expected(j)])
         basis, size, _ = np.linalg.svd(own, full_matrices=False)

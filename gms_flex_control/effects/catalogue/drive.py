@@ -36,8 +36,9 @@ class MotorInertiaError(Change):
 
     @staticmethod
     def guesses(scales) -> list:
+        """Return how it might be there; a rigid joint has the inertia of its link, too."""
         if scales.rigid and scales.link_inertia > 0.0 and not scales.in_space:
-            return []  # the joint's inertia is that of its link, too
+            return []
         return linear(0.1)
 
     @staticmethod
@@ -69,6 +70,7 @@ class MotorInertiaCoupling(Term):
 
     @staticmethod
     def on_arm(values, arm, joint) -> tuple[float, ...]:
+        """Return S times the cosine between the axes of the joint and of the one before."""
         if arm.frames is None or joint == 0:
             return values
         turning = not arm.frames.prismatic[joint - 1:joint + 1].any()
@@ -326,6 +328,7 @@ class SupplySag(Term):
 
     @staticmethod
     def guesses(scales) -> list:
+        """Return how it might be there, about the mean voltage if that was recorded."""
         if scales.supply <= 0.0:
             return []
         volts, size = scales.supply, 0.05

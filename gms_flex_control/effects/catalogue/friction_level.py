@@ -57,6 +57,7 @@ class FrictionAsymmetry(Change):
 
     @staticmethod
     def in_friction(steady, direction, values) -> StribeckParams:
+        """Return the StribeckParams of one direction (1, -1), all levels scaled."""
         factor = 1.0 + direction * values[0]
         return steady.scaled(static=factor, coulomb=factor, viscous=factor)
 
@@ -111,6 +112,7 @@ class ViscousError(Term):
 
     @staticmethod
     def in_friction(steady, direction, values) -> StribeckParams:
+        """Return the StribeckParams of either direction with the slope in them."""
         return replace(steady, viscous=np.maximum(steady.viscous + values[0], 0.0))
 
     @staticmethod
@@ -135,8 +137,8 @@ class ViscousAsymmetry(Term):
 
     @staticmethod
     def in_friction(steady, direction, values) -> StribeckParams:
-        return replace(steady, viscous=np.maximum(
-            steady.viscous + direction * values[0], 0.0))
+        """Return the StribeckParams of one direction (1, -1) with the slope in them."""
+        return replace(steady, viscous=np.maximum(steady.viscous + direction * values[0], 0.0))
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:

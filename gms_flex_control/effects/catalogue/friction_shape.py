@@ -68,6 +68,7 @@ class LoadFriction(Term):
 
     @staticmethod
     def guesses(scales) -> list:
+        """Return how it might be there, over the least reach that the encoder resolves."""
         reach = max(scales.count, _FINE * scales.travel.span)
         return linear(0.05, reach, positive=True) if reach > 0.0 else []
 
@@ -185,6 +186,7 @@ class FrictionHysteresis(Term):
 
     @staticmethod
     def guesses(scales) -> list:
+        """Return how it might be there, over six reaches up to a fifth of the travel."""
         span = scales.travel.span
         return shapes(0.1 * scales.friction, span * np.geomspace(1e-3, 0.2, 6)) if span else []
 
@@ -227,6 +229,7 @@ class FrictionBacklash(Term):
 
     @staticmethod
     def guesses(scales) -> list:
+        """Return how it might be on a rigid joint, for several plays and reaches."""
         span, size = scales.travel.span, _FORCE * scales.friction
         if not (scales.rigid and span):
             return []

@@ -128,6 +128,7 @@ class EndStop(Term):
 
     @staticmethod
     def guesses(scales) -> list:
+        """Return stops a little inside the range that was travelled, either side of zero."""
         span, stiffness = scales.travel.span, scales.friction / 0.05
         inside = span * np.array([0.02, 0.05, 0.1, 0.18])
         above, below = scales.travel.highest - inside, scales.travel.lowest + inside
