@@ -91,7 +91,9 @@ def _of_joint(motions, left, j, likelihood, robot):
     joint, rigid = robot.joints[j], robot.arm.rigid[j]
     equation = _Equation(motions, left, j, j if rigid else robot.n_joints + j)
     coarsest = 2.0 * np.pi * FEWEST_WAVES / max(equation.span, 1e-300)
-    there, orders, found = _orders_of(robot, joint), [], []
+    there = [value for spec in robot.effects if spec.joint == joint for parameter, value in zip(
+        find(spec.name).parameters, spec.values, strict=True) if parameter.name == 'order']
+    orders, found = [], []
     while True:
         taken = {one.name for one in robot.effects if one.joint == joint}
         name = next((name for name in (TorqueRipple.name, *TorqueRipple.again)
@@ -112,13 +114,6 @@ def _of_joint(motions, left, j, likelihood, robot):
         orders.append(order)
         found.append(ripple)
         robot = with_effect(robot, ripple.spec)
-
-
-def _orders_of(robot, joint):
-    """Return the orders of waves that effects of a joint have."""
-    return [value for spec in robot.effects if spec.joint == joint
-            for parameter, value in zip(find(spec.name).parameters, spec.values, strict=True)
-            if parameter.name == 'order']
 
 
 class _Equation:

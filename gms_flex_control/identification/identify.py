@@ -196,7 +196,6 @@ class Data:
         self._steps = np.array([resolution(segments, j, 2.0 * half[j]) for j in joints])
         self.maps = [friction_map(segments, self.robot.arm, j, period, half[j]) for j in joints]
         self._sources = [one.source for one, _ in given]
-        self._driven = np.any([driven(one, self.sides) for one in recordings[:len(given)]], axis=0)
         self.fitted = self._joints_to_fit()  # all that follows is of these joints
         if len(self.fitted) < robot.n_joints:
             self.robot = assumed_robot.only_joints(
@@ -227,13 +226,14 @@ class Data:
         """
         joints = range(self.described.n_joints)
         moved = [j for j in joints if moves(self.maps[j])]
-        fitted = [j for j in joints if self._driven[j] and (
+        is_driven = np.any([driven(one, self.sides) for one in self._recordings], axis=0)
+        fitted = [j for j in joints if is_driven[j] and (
             j in moved or self.described.arm.frames is None)]
         if len(fitted) in (0, len(joints)) or not moved:
             return list(joints)
         for why, left_out in (
-                ('hardly move in these recordings', self._driven),
-                ('have no torque that was recorded, or one that never changes', ~self._driven)):
+                ('hardly move in these recordings', is_driven),
+                ('have no torque that was recorded, or one that never changes', ~is_driven)):
             others = [self.described.joints[j] for j in joints
                       if left_out[j] and j not in fitted]
             if others:

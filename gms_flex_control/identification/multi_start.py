@@ -179,7 +179,9 @@ def _search(pool, bundle, fits, levels):
     coupled = bundle.arm.kind == 'planar' and len(fits) > 1
     if not coupled:
         looks = list(dict.fromkeys(looks))
-    levels, last = [_looked_at(bundle, *look) for look in looks], len(looks) - 1
+    rough, last = [coarser(bundle, period) for period, _ in looks], len(looks) - 1
+    levels = [one._replace(observer=softness * one.observer)
+              for one, (_, softness) in zip(rough, looks, strict=True)]
     if coupled:
         levels += [levels[-1]] * _MORE_TURNS
     for turn, level in enumerate(levels):
@@ -191,12 +193,6 @@ def _search(pool, bundle, fits, levels):
         if turn >= last and max(gains) < GAIN:
             break
     return fits
-
-
-def _looked_at(bundle, period, softness):
-    """Return a bundle sampled every ``period`` [s] with another bandwidth of the observer."""
-    rough = coarser(bundle, period)
-    return rough._replace(observer=softness * rough.observer)
 
 
 def _searched(objective, fit, rng, patience, all_ends, again):

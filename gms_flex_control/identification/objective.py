@@ -35,11 +35,6 @@ class Bundle(NamedTuple):
     observer: np.ndarray  # bandwidth per joint (n,) [rad/s]
     extras: tuple        # per joint a function Segment -> (T, R) of further torques, or None
 
-    def observer_gains(self, sharpness=1.0) -> np.ndarray:
-        """Return gains of rate and angle (2, n), ``sharpness`` times as fast if samples allow."""
-        bandwidth = np.minimum(sharpness * self.observer, _FASTEST_STEP / self.period)
-        return np.stack([2.0 * bandwidth, bandwidth ** 2])
-
     def judged(self, segment: Segment, joint: int, step: float) -> np.ndarray:
         """Return where torque judges a joint, of encoder ``step`` or noise [rad], bool (T,)."""
         return segment.tested[:, joint] & moving(segment, joint, step, self.half[joint])
@@ -151,13 +146,13 @@ class Objective:
     """
     Evaluates parameters of one joint against all data of a Bundle.
 
-    ``others`` are the parameters of all joints, those of ``joint`` unused; ``chosen`` Segment ->
+    ``thetas`` are the parameters of all joints, those of ``joint`` unused; ``chosen`` Segment ->
     bool (T,) are the samples that count, by default those of tests of the joint. All links of a
     chain move; of axes that do not act on each other only the joint's own.
     """
 
-    def __init__(self, bundle: Bundle, joint: int, others: Sequence[np.ndarray], chosen=None):
-        self.bundle, self.joint, self.thetas, self._chosen = bundle, joint, list(others), chosen
+    def __init__(self, bundle: Bundle, joint: int, thetas: Sequence[np.ndarray], chosen=None):
+        self.bundle, self.joint, self.thetas, self._chosen = bundle, joint, list(thetas), chosen
         together = bundle.arm.kind == 'planar'
         self._moved = list(range(bundle.arm.n_joints)) if together else [joint]
         self._own = self._moved.index(joint)
@@ -166,7 +161,7 @@ class Objective:
                                                if k != self._own)])
 
     def of(self, chosen=None, bundle=None) -> Self:
-        """Return it against the ``chosen`` samples of a Bundle, by default the same."""
+        """Return the Objective of ``chosen`` samples, default all, of a Bundle or its own."""
         return Objective(bundle or self.bundle, self.joint, self.thetas, chosen)
 
     def predict(self, segment, theta, directions=None,
@@ -212,8 +207,10 @@ class Objective:
             self._friction(theta))
 
     def _observer(self, sharpness=1.0):
-        gains = self.bundle.observer_gains(sharpness)[:, self._moved]
-        return np.ascontiguousarray(gains), self.bundle.half[self._moved]
+        """Return gains of rate and angle (2, n), so many times as fast if samples allow."""
+        bandwidth = np.minimum(sharpness * self.bundle.observer[self._moved],
+                               _FASTEST_STEP / self.bundle.period)
+        return np.stack([2.0 * bandwidth, bandwidth ** 2]), self.bundle.half[self._moved]
 
     def extra(self, segment) -> np.ndarray:
         """Return the further torques per unit of their coefficients, shape (T, R)."""

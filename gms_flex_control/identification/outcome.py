@@ -2,6 +2,8 @@
 """What an identification found, how far each number can be trusted, and the words for it."""
 
 from dataclasses import dataclass, field
+from itertools import groupby
+import re
 from typing import NamedTuple
 
 from gms_flex_control.params.arm import in_currents, in_units
@@ -19,6 +21,7 @@ WIDE = 0.5            # half an interval this large a part of the value says not
 _UNEXPLAINED = 0.5    # of the drive torque: beyond, nothing is to be trusted
 _ENDLESS = 1e6       # upper end over lower end of an interval that says nothing
 AT_FLOOR = 1.3       # error over floor that counts as the floor itself
+_INDEXED = re.compile(r'(.*)\[(\d+)\]')
 
 
 class Interval(NamedTuple):
@@ -259,19 +262,12 @@ def notes(result: JointResult) -> list:
 
 def _joined(mentions):
     """Return 'weight[0..2]' for 'weight[0]', 'weight[1]', 'weight[2]'; the rest as it is."""
-    out, run = [], []
-    for mention in [*mentions, '']:
-        leaf, bracket, index = mention.partition('[')
-        follows = bracket and index[:-1].isdigit() and index.endswith(']')
-        if run and follows and run[-1] == (leaf, int(index[:-1]) - 1):
-            run.append((leaf, int(index[:-1])))
-            continue
-        if run:
-            last = f'..{run[-1][1]}' if len(run) > 1 else ''
-            out.append(f'{run[0][0]}[{run[0][1]}{last}]')
-        run = [(leaf, int(index[:-1]))] if follows else []
-        out += [mention] if mention and not follows else []
-    return out
+    def run_of(place):
+        found = _INDEXED.fullmatch(mentions[place])
+        return (found[1], int(found[2]) - place) if found else mentions[place]
+    runs = [[mentions[k] for k in run] for _, run in groupby(range(len(mentions)), run_of)]
+    return [run[0] if len(run) == 1 else f'{run[0][:-1]}..{run[-1].partition("[")[2]}'
+            for run in runs]
 
 
 def data_sentence(identification: Identification) -> str:
