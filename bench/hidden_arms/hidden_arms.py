@@ -206,7 +206,7 @@ def try_job(job: Job) -> Outcome:
     took = time.monotonic() - begun
     if found and found.gap and job.kind in ('single', 'double'):
         ratios = free_ratios(found, case.true)
-    right, wrong = judged(job.kind, [one.key for one in case.hidden], verdict,
+    right, wrong = judged(job.kind, [(one.name, one.joint) for one in case.hidden], verdict,
                           findings)
     return Outcome(
         ', '.join(one.name + f' {one.joint} ' + ' '.join(
