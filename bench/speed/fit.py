@@ -144,7 +144,8 @@ def fit_everything(bundle, axis):
     coordinates, free = packed(theta, np.geomspace(*start.yields[[0, -1]], N_BLOCKS))
 
     def ours():
-        return fit_all(bundle, [start], [np.zeros(0)], blocks=(N_BLOCKS,))[0].free
+        return fit_all(bundle, [start], [np.zeros(0)], 2.0 * bundle.half,
+                       blocks=(N_BLOCKS,))[0].free
 
     return Comparison('full fit', bundle, Objective(bundle, 0, [theta]), coordinates, free,
                       prior_of(coordinates, free), ours, np.arange(coordinates.size))

@@ -92,3 +92,11 @@ def test_the_bridge_that_is_measured_answers():
     pytest.importorskip('rclpy')
     timing, _ = ros_loop.run_bridge(200.0, 3.0)
     assert timing['lost'] < timing['samples'] / 2
+
+
+def test_the_full_fit_finds_the_friction_that_was_simulated(robot, gains):
+    axis, bundle = fit.simulated(robot, gains, {}, 250.0)
+    case = fit.fit_everything(bundle, axis)
+    found = case.coordinates.parameters(case.ours())[[1, 5]]
+    sides = axis.friction.forward, axis.friction.backward
+    assert found == pytest.approx([side.coulomb[0] for side in sides], rel=0.03)
