@@ -3,6 +3,7 @@
 
 from argparse import Namespace
 import ast
+import ctypes
 from itertools import chain
 import json
 import os
@@ -192,6 +193,22 @@ def test_ctrl_c_is_one_line_and_130(words, sentence, monkeypatch, capsys):
     assert capsys.readouterr().err == sentence
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert '130 interrupted' in tool.build_parser().format_help()
+
+
+def test_ctrl_c_while_llvm_calls_back_is_not_lost(monkeypatch, capsys):
+    """What is raised in a function that C calls goes no further: the verb would go on."""
+    names = {'os': os, 'signal': signal}
+    exec(compile('def called():\n    os.kill(os.getpid(), signal.SIGINT)\n',
+                 '/site-packages/llvmlite/binding/executionengine.py', 'exec'), names)
+
+    def compile_and_go_on(args):
+        ctypes.CFUNCTYPE(None)(names['called'])()
+        time.sleep(5.0)
+        return 0
+
+    monkeypatch.setattr('gms_flex_control.cli.bags.info', compile_and_go_on)
+    assert tool.main(['info', 'bag']) == 130
+    assert capsys.readouterr().err == 'gms_flex info: interrupted\n'
 
 
 def test_ctrl_c_ends_workers_in_silence(tmp_path):

@@ -4,6 +4,7 @@
 import json
 import os
 from pathlib import Path
+import shlex
 import subprocess
 
 from gms_flex_control.cli.main import main
@@ -34,6 +35,25 @@ def simulate(tmp_path, capsys):
         code = main(['simulate', *map(str, options), '--out', str(out)])
         return (code, *capsys.readouterr())
     return run
+
+
+@pytest.mark.parametrize('modes', [['gms'], ['none', 'gms']])
+def test_what_comes_next_runs_with_motors_of_any_name(modes, simulate, tmp_path, capsys):
+    """Names in a bag do not tell which are motors then, and config/ knows another robot."""
+    robot = tmp_path / 'robot.yaml'
+    robot.write_text(ROBOT.read_text().replace('[joint1_motor, joint2_motor]', "['m 1', drive]"))
+    code, printed, _ = simulate('--robot', robot, '--duration', '1', '--compensation', *modes)
+    *_, last = printed.strip().splitlines()
+    words = shlex.split(last.partition('next: ')[2])[1:]
+    assert code == 0
+    if words[0] == 'view':
+        assert words[2:] == ['--robot', str(robot)]
+    else:
+        assert main(words) == 0
+        without = [one for one in words if one not in ('--motors', 'm 1', 'drive')]
+        capsys.readouterr()
+        assert main([one for one in without if 'joint' not in one]) == 2
+        assert '--motors' in capsys.readouterr().err
 
 
 def test_the_process_exits_0_1_and_2(tmp_path):

@@ -22,7 +22,7 @@ from gms_flex_control.trajectory import builders
 from gms_flex_control.tuning import margins, trial
 from gms_flex_control.tuning.linear_loop import compliance, linear_loop, Timing
 from gms_flex_control.tuning.margins import judged
-from gms_flex_control.tuning.propose import Demands, propose
+from gms_flex_control.tuning.propose import _candidates, _SLOWEST, Demands, propose
 import numpy as np
 import pytest
 
@@ -235,6 +235,15 @@ def test_tune_prints_the_error_to_expect_and_that_the_bound_is_none(tmp_path, ax
             f'rms, {1e3 * peak:.3g} at most\n' in out)
     assert 'static friction can hold without compensation: axis ' in out
     assert out.count('(43)') == 1 and 'Not a prediction' in out
+
+
+def test_a_joint_that_is_always_too_fast_gets_the_slowest_gains_tried(axis_file):
+    """A chain that is lost whatever a joint does asks it to be slower, round after round."""
+    robot, inertia = files.load_robot(axis_file), 0.3
+    demands = Demands(timing=Timing(2e-3, 0.0), torque_limit=np.ones(1))
+    first = next(_candidates(robot, demands, 0, inertia, 1e-3))
+    assert np.sqrt(first['kd_link'] * first['lambda_link'] / inertia) == pytest.approx(
+        _SLOWEST, rel=1e-3)
 
 
 def test_tune_says_no_where_nothing_fits(tmp_path, axis_file, capsys):

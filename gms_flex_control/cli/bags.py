@@ -9,6 +9,7 @@ import sys
 import time
 import webbrowser
 
+from gms_flex_control.cli.main import raise_interrupt
 from gms_flex_control.cli.terminal import end, import_ros, say
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.file_io import as_json, robot_file
@@ -21,10 +22,13 @@ def view(args) -> int:
     """Serve the page until Ctrl-C; return 0."""
     before = {}
 
-    def interrupt(_number, _frame):
-        for number in before:  # a second signal must not interrupt the ending
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
+    def interrupt(number, frame):
+        try:
+            raise_interrupt(number, frame)
+        except KeyboardInterrupt:
+            for one in before:  # a second signal must not interrupt the ending
+                signal.signal(one, signal.SIG_IGN)
+            raise
 
     for number in (signal.SIGINT, signal.SIGTERM):
         before[number] = signal.signal(number, interrupt)

@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 from textwrap import fill
-from threading import current_thread, main_thread
+from threading import current_thread, main_thread, Timer
 import traceback
 import warnings
 
@@ -19,6 +19,7 @@ from gms_flex_control.cli.verbs import GROUPS
 from gms_flex_control.errors import did_you_mean, GmsFlexError
 
 OK, FINDING_SAYS_NO, BAD_INPUT = 0, 1, 2
+_LATER = 0.02  # that a signal comes again [s]
 INTERRUPTED = 130  # as a shell reports SIGINT
 OWN_ERROR = 70  # EX_SOFTWARE of sysexits.h: never taken for a finding
 VERBS = tuple(verb.name for verb in chain.from_iterable(GROUPS.values()))
@@ -168,9 +169,9 @@ def _noted_interrupts():
         yield seen  # someone else answers, or nobody may
         return
 
-    def note(_number, _frame):
+    def note(number, frame):
         seen.append(True)
-        raise KeyboardInterrupt
+        raise_interrupt(number, frame)
 
     signal.signal(signal.SIGINT, note)
     try:
@@ -178,6 +179,17 @@ def _noted_interrupts():
     finally:
         if signal.getsignal(signal.SIGINT) is note:  # a verb may have chosen to ignore it
             signal.signal(signal.SIGINT, before)
+
+
+def raise_interrupt(number, frame) -> None:
+    """Raise KeyboardInterrupt; a little later if LLVM calls back, where it would be lost."""
+    called = frame
+    while called is not None:
+        if 'llvmlite' in called.f_code.co_filename:
+            Timer(_LATER, os.kill, (os.getpid(), number)).start()
+            return
+        called = called.f_back
+    raise KeyboardInterrupt
 
 
 def _interrupted(command):

@@ -7,6 +7,7 @@ import re
 
 from gms_flex_control.answer import command
 from gms_flex_control.cli.terminal import end, write_or_print
+from gms_flex_control.data.recording import MOTOR_SUFFIX
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
@@ -47,8 +48,18 @@ def simulate(args) -> int:
             print(f'{bag}: {plan.motion}, {plan.gains.compensation}, {plan.duration:g} s, '
                   f'MSE per link [{square}]  {shown}')
     bags = [one['bag'] for one in results]
-    again = ('analyse', *bags, '--out', Path(args.out) / 'results') if several else ('view', *bags)
+    again = 'view', *bags, *(['--robot', *args.robot] if args.robot else ())
+    if several:
+        again = 'analyse', *bags, *_names(plan.robot), '--out', Path(args.out) / 'results'
     return end(args, results, f'\nnext: {command(*again)}')
+
+
+def _names(robot):
+    """Return options that name links and motors, if names alone do not tell which is which."""
+    if all(motor in ('', joint + MOTOR_SUFFIX)
+           for joint, motor in zip(robot.joints, robot.motors, strict=True)):
+        return ()
+    return '--joints', *robot.joints, '--motors', *robot.motors
 
 
 def controller_of(args, joints) -> list:

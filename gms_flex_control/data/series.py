@@ -162,7 +162,9 @@ class Series:
 
         def torques(_dims, count):
             if count not in (n, widest):
-                raise BagError(f'has {count} torques for {n} joints ({", ".join(joints)})')
+                raise BagError(f'has {count} torques for {n} joints ({", ".join(joints)}); are '
+                               'some of them motors? --joints names the links, --motors their '
+                               'motors')
             return (count,)
 
         def references(dims, count):

@@ -150,9 +150,7 @@ def _candidates(robot, demands, joint, inertia, cap):
     if demands.bandwidth is not None:
         links = [float(demands.bandwidth[joint])]
     rigid = robot.arm.rigid[joint]
-    for link in links:
-        if link > cap:
-            continue
+    for link in [link for link in links if link <= cap] or [links[-1]]:
         for more in _MORE_DAMPING:
             kd_link, lambda_link = pair(link, more * demands.damping, inertia)
             values = {'kd_link': kd_link, 'lambda_link': lambda_link}
