@@ -31,7 +31,6 @@ PERIOD, FIRST = 2e-3, 6.0       # [s]; of the first recording
 FIXED = 'rich', 'random', 'small'  # motions that are compared with designed ones
 TIMES = 5.0, 10.0, 20.0         # of robot time at which the fixed motions are judged [s]
 BUDGET, ODDS = 20.0, 99.0       # robot time of the designed motions [s]; odds wanted
-ASKED, ASKED_RANDOM = 0.8, 0.4  # share resolved rightly in the budget: at least, at most
 NARROW = 0.5                    # share of first recordings that are; the others are random moves
 _DRAWS, _TRIES, _SMALLER = 12, 12, 0.7  # robots, sizes of a hidden effect, until two are left
 NOTHING = frozenset()           # no effect is missing

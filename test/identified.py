@@ -70,7 +70,7 @@ def joint_result(robot, truth, j):
         estimates=tuple(estimates(robot, j)), curve=(x, curve, 0.97 * curve, 1.03 * curve),
         friction_map=FrictionMap(moving, torque, rng.random(240) < 0.7),
         steady_velocity=velocity, steady_torque=steady(robot, velocity, j),
-        loops=tuple(loop(robot, truth, j, share) for share in (0.4, 0.8)),
+        loops=tuple(loop(truth, j, share) for share in (0.4, 0.8)),
         traces=(trace(robot, truth, j, rng),), held_out=ERRORS, warnings=(),
         candidates=(Candidate(2, 1.31, 0.05, False), Candidate(4, 1.02, 0.01, True),
                     Candidate(6, 1.015, 0.0, False)))
@@ -104,7 +104,7 @@ def presliding(robot, j, x):
     return np.minimum(friction.stiffness[j] * x[:, None], friction.weight[j] * static).sum(axis=1)
 
 
-def loop(robot, truth, j, share):
+def loop(truth, j, share):
     """Return a closed Masing loop up to a share of F_s, measured and modelled."""
     reach = np.interp(share * truth.friction.forward.static[j],
                       presliding(truth, j, np.geomspace(1e-6, 0.3, 4000)),

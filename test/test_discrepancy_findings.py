@@ -19,7 +19,7 @@ OUTRIGHT = {'low_speed_friction': 1000.0, 'friction_hysteresis': 60.0, 'torque_r
 
 
 def free(evidence, variable=RATE):
-    return Free(evidence, 0.1, 'slide', 'link', variable, ())
+    return Free('slide', 'link', variable, (), evidence=evidence, torque=0.1)
 
 
 def shares_of(instead, beside, left=None):

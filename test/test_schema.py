@@ -264,7 +264,7 @@ def test_reordered_joints_keep_their_values(robot, tmp_path):
     np.testing.assert_array_equal(swapped.friction.stiffness, robot.friction.stiffness[::-1])
 
 
-def test_joints_may_have_different_numbers_of_blocks(robot, tmp_path):
+def test_joints_may_have_different_numbers_of_blocks(tmp_path):
     """The shorter row is filled with blocks that carry nothing."""
     weights = ROBOT[ROBOT.index('weight: ['):ROBOT.index(']  # 1/N') + 1]
     text = changed(weights, 'weight: [0.25, 0.75]')

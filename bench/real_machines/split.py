@@ -85,7 +85,7 @@ def try_split(machine, split, say=lambda text: None):
     answer = asked(fitted, robot, held_out)
     seconds = time.monotonic() - begun
     final = answer.get('robot') or robot
-    bands = tuple(in_band(machine, peers[band], held_out, robot, final, band)
+    bands = tuple(in_band(peers[band], held_out, robot, final, band)
                   for band in machine.bands)
     return Outcome(
         machine=machine.name, split=split.name, bands=bands, verdict=answer['verdict'],
@@ -143,7 +143,7 @@ def asked(fitted, robot, held_out):
             'named': tuple((one.effect, one.parameters) for one in result.named)}
 
 
-def in_band(machine, peers, held_out, robot, final, band):
+def in_band(peers, held_out, robot, final, band):
     """Return the InBand of least squares and of both models."""
     parts = parts_of(held_out, band)
     plain = peers.plain.rms(parts)

@@ -111,8 +111,8 @@ class ClosedLoop(NamedTuple):
     Errors of the simulated closed loop: its link angles less those measured, rms (n,) [rad].
 
     ``before`` is the model as given, ``retuned`` with known parameters re-tuned, ``after`` with
-    the effects found; ``floor`` is what two runs of the last, of other
-    encoder noise, differ by. The courses are those of the first recording.
+    the effects found; ``floor`` is what two runs of the last, of other encoder noise, differ by.
+    The courses are those of the first recording.
     """
 
     joints: tuple

@@ -243,25 +243,24 @@ def _values(likelihood, found, index):
     variance[free] = np.maximum(np.diag(inverse), np.mean(scatter ** 2, axis=1)) * scale ** 2
     half = {(one.effect, one.parameter): CONFIDENT * float(np.sqrt(own))
             for one, own in zip(numbers, variance[len(model.x):], strict=True)}
-    spec, found = model.robot.effects[index], []
-    for k, (parameter, value) in enumerate(zip(find(spec.name).parameters, spec.values,
-                                               strict=True)):
-        away = half.get((index, k), 0.0)
-        found.append(Value(parameter.name, parameter.unit, float(value),
-                           float(max(value - away, parameter.lower)),
-                           float(min(value + away, parameter.upper))))
-    return tuple(found)
+    spec = model.robot.effects[index]
+    return _with_intervals(spec, [half.get((index, k), 0.0) for k in range(len(spec.values))])
+
+
+def _with_intervals(spec, half):
+    """Return the Values of an effect whose intervals, within bounds, are so wide either way."""
+    return tuple(
+        Value(parameter.name, parameter.unit, float(value),
+              float(max(value - away, parameter.lower)), float(min(value + away, parameter.upper)))
+        for parameter, value, away in zip(find(spec.name).parameters, spec.values, half,
+                                          strict=True))
 
 
 def finding_of(ripple, robot) -> Finding:
     """Return the Finding of a FastRipple of a robot."""
-    spec, kind = ripple.spec, find(ripple.spec.name)
+    spec = ripple.spec
     own = np.array([joint == spec.joint for joint in robot.joints])
-    values = tuple(
-        Value(parameter.name, parameter.unit, value, max(value - CONFIDENT * sd, parameter.lower),
-              min(value + CONFIDENT * sd, parameter.upper))
-        for parameter, value, sd in zip(kind.parameters, spec.values, ripple.deviations,
-                                        strict=True))
+    values = _with_intervals(spec, [CONFIDENT * sd for sd in ripple.deviations])
     return Finding(
         effect=spec.name, joint=spec.joint, values=values, main=True, torque=ripple.torque,
         share=ripple.share, score=2.0 * ripple.gain.nats, probability=1.0, held_out=ripple.gain,

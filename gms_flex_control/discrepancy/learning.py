@@ -221,7 +221,7 @@ class _Learning:
         likelihood, base = self.likelihood, state.model
         kind = shapes.LEARNED[spec.name]
         count = kind.count
-        size = _PROBE * (kind.typical(likelihood.scales_of(spec.joint))[0])
+        size = _PROBE * kind.typical(likelihood.scales_of(spec.joint))[0]
         zero = with_effect(base.robot, spec)
         model = likelihood.fitted(zero, base.x)
 

@@ -159,13 +159,13 @@ def signature_of(likelihood, model, share, free=None, among=None) -> Signature:
 class Free(NamedTuple):
     """A function of one variable in one equation, and what it would gain."""
 
-    evidence: float    # 2 log, over the model it was added to
-    torque: float      # rms of what it adds [N m]
     joint: str
     equation: str      # 'link' or 'motor'
     variable: str
     triangles: tuple   # of ndarray (S, K): its values along each recording
     noise: tuple | None = None  # likewise: how they differ in two null simulations, None if not
+    evidence: float = -np.inf   # 2 log, over the model it is added to
+    torque: float = 0.0         # rms of what it adds [N m]
 
     @property
     def place(self) -> tuple[str, str, str]:
@@ -190,7 +190,7 @@ class FreeFunctions:
             for equation in ('link', 'motor'):
                 if equation == 'motor' and (robot.arm.rigid[j] or joint in likelihood.unseen):
                     continue
-                self._all += [(joint, equation, name, hats, noise.get(name))
+                self._all += [Free(joint, equation, name, hats, noise.get(name))
                               for name, hats in shapes.items()
                               if name != 'torsion' or equation == 'link']
 
@@ -198,37 +198,34 @@ class FreeFunctions:
         """Return the free functions beside a Fitted, list of Free, that of most evidence first."""
         normal = NormalEquations(self._likelihood, model, columns)
         lost = self._likelihood.noise_cleared(model, self._likelihood.weights(model.sums.groups))
-        here = [one for one in self._all if joint in (None, 'arm', one[0])]
-        found = self._likelihood.pool.map(lambda one: self._gained(normal, lost, *one), here)
+        here = [one for one in self._all if joint in (None, 'arm', one.joint)]
+        found = self._likelihood.pool.map(lambda one: self._gained(normal, lost, one), here)
         return sorted(found, key=lambda one: -one.evidence)
 
-    def _gained(self, normal, lost, joint, equation, variable, triangles, noise):
-        """Return a function as a Free; sums are cleared of the noise ``lost`` (R,)."""
-        likelihood, level = self._likelihood, self._likelihood.level_of(joint)
-        rows = self._rows(joint, equation, variable, triangles)
-        least = normal.beside(rows, self._noise(joint, equation, variable, noise, rows) @ lost,
-                              pull=1.0 / level ** 2)
+    def _gained(self, normal, lost, free):
+        """Return a Free with what it gains; sums are cleared of the noise ``lost`` (R,)."""
+        likelihood, level = self._likelihood, self._likelihood.level_of(free.joint)
+        rows, noise = self._rows(free)
+        least = normal.beside(rows, noise @ lost, pull=1.0 / level ** 2)
         scaled = level * rows
         _, occam = np.linalg.slogdet(np.eye(len(rows)) + (
             scaled * likelihood.weights(least.sums)) @ scaled.T)
-        torque = np.concatenate(triangles) @ least.added
-        return Free(finite(normal.alone.cost - least.cost - occam
-                           - 2.0 * np.log(len(self._all))),
-                    float(np.sqrt(np.mean(torque ** 2))), joint, equation, variable, triangles,
-                    noise)
+        torque = np.concatenate(free.triangles) @ least.added
+        return free._replace(
+            evidence=finite(normal.alone.cost - least.cost - occam - 2.0 * np.log(len(self._all))),
+            torque=float(np.sqrt(np.mean(torque ** 2))))
 
-    def _rows(self, joint, equation, variable, triangles):
-        """Return the whitened residuals (K, R) of triangles; all functions' fill the memory."""
-        likelihood, n = self._likelihood, self._likelihood.robot.n_joints
-        j = likelihood.robot.joints.index(joint)
-        rows = likelihood.whitened.rows_of_each(triangles, j + n * (equation == 'motor'))
-        return (rows - likelihood.whitened.rows_of_each(triangles, j + n)
-                if variable == 'torsion' else rows)
+    def _rows(self, free):
+        """Return whitened residuals (K, R) of triangles and noise; all functions' fill memory."""
+        whitened, n = self._likelihood.whitened, self._likelihood.robot.n_joints
+        j = self._likelihood.robot.joints.index(free.joint)
 
-    def _noise(self, joint, equation, variable, noise, rows):
-        """Return how ``rows`` (K, R) of a function differ in two null simulations, (K, R)."""
-        return (np.zeros_like(rows) if noise is None
-                else self._rows(joint, equation, variable, noise))
+        def rows_of(values):
+            rows = whitened.rows_of_each(values, j + n * (free.equation == 'motor'))
+            return (rows - whitened.rows_of_each(values, j + n) if free.variable == 'torsion'
+                    else rows)
+        rows = rows_of(free.triangles)
+        return rows, np.zeros_like(rows) if free.noise is None else rows_of(free.noise)
 
     def left_in(self, model, columns, ranked=None) -> Free | None:
         """Return the Free function, of ``ranked`` ones or all, that a model lacks, or None."""
@@ -237,11 +234,10 @@ class FreeFunctions:
             if (free.evidence <= EVIDENCE
                     or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):
                 continue
-            rows = self._rows(*free.place, free.triangles)
+            rows, noise = self._rows(free)
             if without is None:
                 normal = NormalEquations(self._likelihood, model, columns)
                 without = self._predicted(normal, model, columns, rows[:0], rows[:0])
-            noise = self._noise(*free.place, free.noise, rows)
             gain = gain_over(self._predicted(normal, model, columns, rows, noise) - without)
             if gain.is_real(self._likelihood.caution):
                 return free

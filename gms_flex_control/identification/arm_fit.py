@@ -201,8 +201,7 @@ def axis_of(arm: ArmParams, joint: int) -> tuple:
     return inertia, pull * np.cos(arm.offset[joint]), -pull * np.sin(arm.offset[joint])
 
 
-def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence,
-           spreads: Sequence) -> RobotParams:
+def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence) -> RobotParams:
     """Return the robot with corrections fitted along with friction, the last of ``thetas``."""
     arm, effects = robot.arm, []
     for j, theta in enumerate(thetas):

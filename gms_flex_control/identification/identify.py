@@ -290,7 +290,7 @@ class Data:
             further = self.arm_fit.final
         elif self.arm_fit:
             further = arm_estimates(self.robot, self.arm_fit, thetas, spreads)
-            found = folded(self.robot, self.arm_fit, thetas, spreads)
+            found = folded(self.robot, self.arm_fit, thetas)
             robot = replace(robot, effects=found.effects, arm=replace(
                 found.arm, stiffness=robot.arm.stiffness))
         if self.differences:

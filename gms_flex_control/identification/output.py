@@ -73,13 +73,10 @@ def friction_values(identification: outcome.Identification) -> dict:
     values = {name: believed[name] for name in ('joints', 'motors')}
     for name, value in found.items():
         part = name.split('.')[0]
-        if part == 'friction':
+        if part == 'friction' or part == 'arm' and not identification.described or (
+                part in ('arm', 'effects') and value != believed.get(name)
+                and not (name.endswith('.stiffness') and math.isinf(value))):
             values[name] = value
-        elif part == 'arm' and not identification.described:
-            values[name] = value
-        elif part in ('arm', 'effects') and value != believed.get(name):
-            if not (name.endswith('.stiffness') and math.isinf(value)):
-                values[name] = value
     for joint in identification.robot.joints:
         _drop_empty_blocks(values, f'friction.{joint}.')
     return values | uncertainty_values(identification)
