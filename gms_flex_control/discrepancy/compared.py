@@ -4,6 +4,7 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control.data.signal_analysis import runs
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.gap import all_known, FARTHEST, free_rms, free_runs, torque_rms
 from gms_flex_control.discrepancy.likelihood import Likelihood
@@ -138,27 +139,20 @@ def segment_of(recording) -> Segment:
         raise BagError(f'{recording.source}: does not have the angles of all links, so there is '
                        'nothing to hold a simulated closed loop against; leave --controller out')
     known = seen & np.isfinite(recording.reference).all(axis=(1, 2))
-    first, last = _longest(known, np.diff(recording.time) > _LONGEST * recording.period)
-    time = recording.time[first:last]
+    parts = runs(known[1:] & known[:-1] & (np.diff(recording.time) <= _LONGEST * recording.period))
+    rows = slice(*max(parts + [0, 1], key=np.ptp, default=(0, 0)))
+    time = recording.time[rows]
     if len(time) < 2 or time[-1] - time[0] < LEAST_TIME:
         raise BagError(f'{recording.source}: has no reference of the link angles for '
                        f'{LEAST_TIME:g} s on end, so its closed loop cannot be simulated; record '
                        '/reference with the joint states, or leave --controller out')
     period = (time[-1] - time[0]) / (len(time) - 1)
     grid = time[0] + period * np.arange(len(time))
-    reference, measured = recording.reference[first:last], recording.q_link[first:last]
+    reference, measured = recording.reference[rows], recording.q_link[rows]
     if np.abs(time - grid).max() > _EVEN * period:
         reference, measured = (_resampled(grid, time, values) for values in (reference, measured))
     return Segment(recording.source, float(time[0]), round(1e9 * period), reference, measured,
-                   recording.q_motor[first], supply_voltage(recording, grid))
-
-
-def _longest(known, holes):
-    """Return first and end of the longest run of samples known (T,), with no hole (T - 1,)."""
-    parts = np.cumsum(np.concatenate([[0], holes | (known[1:] != known[:-1])]))
-    counts = np.bincount(parts, weights=known)
-    at = np.flatnonzero(parts == np.argmax(counts))
-    return (at[0], at[-1] + 1) if counts.max() else (0, 0)
+                   recording.q_motor[rows.start], supply_voltage(recording, grid))
 
 
 def _resampled(grid, time, values):
