@@ -293,7 +293,7 @@ _TUNE = Verb(
                help='try the gains on N robots drawn with friction and M off by up to 30 %%, K by '
                     '20 %%'),
         option('--seed', type=int, default=0, metavar='N', help='of the draws'),
-        WORKERS, out_folder('controller.yaml, tuning.json, tuning.png'),
+        WORKERS, out_folder('controller.yaml, trajectory.yaml, tuning.json, tuning.png'),
         JSON),
     ('tune --out tuned',
      'tune --robot robot.yaml results/friction.yaml --torque-limit 2 --delay 1 --verify 200 '
@@ -312,7 +312,7 @@ _COMPARE = Verb(
         number('--rate', 'HZ', 500.0, 'of the controller', least=1e-3, most=1e4),
         number('--amplitude', 'RAD', 1.0, 'of the motions', least=1e-6, most=100.0),
         option('--seed', type=int, default=0, metavar='N', least=0, help='of the draws'),
-        WORKERS, out_folder('report.html, comparison.json', 'comparison'), JSON),
+        WORKERS, out_folder('report.html, comparison.json, trajectory.yaml', 'comparison'), JSON),
     ('compare', 'compare robot.yaml --controller tuned/controller.yaml --out comparison',
      'compare robot.yaml results/friction.yaml --draws 20'))
 _EXPORT = Verb(

@@ -101,8 +101,12 @@ def _crossings(loop, joint, grid, response, measure):
     return middle, open_loop(loop, joint, middle) if len(places) else np.zeros(0, complex)
 
 
-def delay_margin(robot, model, gains, timing, pose) -> float:
-    """Return the least further delay [s] of all torques at which the loop is unstable."""
+def delay_margin(robot, model, gains, timing, pose, most=np.inf) -> float:
+    """
+    Return the least further delay [s] of all torques at which the loop is unstable.
+
+    It is not sought beyond ``most``: inf then.
+    """
     law = law_of(model, gains, timing, pose)
 
     def stable(extra):
@@ -112,7 +116,7 @@ def delay_margin(robot, model, gains, timing, pose) -> float:
     low, high = 0.0, 0.25 * timing.period
     while stable(high):
         low, high = high, high + min(0.5 * timing.period + 0.1 * high, 5.0 * timing.period)
-        if low > _MOST_SAMPLES * timing.period:
+        if low > min(most, _MOST_SAMPLES * timing.period):
             return np.inf
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
@@ -165,7 +169,8 @@ def judged(robot, model, gains, timing, *, with_delay=True) -> Judgement:
         found.append([joint_margins(loop, j) for j in range(robot.n_joints)])
         noises.append(jitter(loop, robot.encoder))
         if with_delay:
-            delays.append(delay_margin(robot, model, gains, timing, pose))
+            delays.append(delay_margin(robot, model, gains, timing, pose,
+                                       min(delays, default=np.inf)))
             held.append(np.abs(compliance(robot, model, gains, timing, pose)) @ levels)
             stuck = linear_loop(robot, model, gains, timing, pose, stuck=True)
             decays.append(-np.log(np.abs(np.linalg.eigvals(stuck.closed)).max()) / timing.period)

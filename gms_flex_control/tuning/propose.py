@@ -11,6 +11,7 @@ inertia it can have in the arm; the whole arm is then judged in many poses.
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.control import gain_conditions
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.gains import ControllerParams
@@ -51,12 +52,18 @@ class Proposal(NamedTuple):
 
 def propose(robot, base, demands) -> Proposal:
     """Propose gains, the nearest where ``unmet`` says why none fit; all else is as in ``base``."""
-    base = replace(base, torque_limit=demands.torque_limit)
-    caps = np.full(robot.n_joints, np.inf)
+    with in_one_thread():  # threads would wait for each other at such small matrices
+        return _proposed(robot, replace(base, torque_limit=demands.torque_limit), demands)
+
+
+def _proposed(robot, base, demands):
+    caps, found = np.full(robot.n_joints, np.inf), {}
     for _ in range(_ROUNDS):
         gains, missed = base, []
         for j in range(robot.n_joints):
-            values, why = _joint_gains(robot, base, demands, j, caps[j])
+            if (j, caps[j]) not in found:
+                found[j, caps[j]] = _joint_gains(robot, base, demands, j, caps[j])
+            values, why = found[j, caps[j]]
             gains = _with_joint(gains, j, values)
             missed += why
         judgement = judged(robot, robot, gains, demands.timing)
