@@ -12,7 +12,6 @@ from gms_flex_control.data.signal_analysis import standing_out
 from gms_flex_control.discrepancy.evidence import NormalEquations
 from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
 from gms_flex_control.discrepancy.likelihood import with_effect
-from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.effects.base import Guess, HIGHEST_ORDER, Stage, Term
 from gms_flex_control.effects.registry import find, names
 from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
@@ -39,8 +38,7 @@ class Ranked(NamedTuple):
 
 def _fine_orders(likelihood, model):
     """Return the orders of waves over the motor angle finer than any guess, tuple per joint."""
-    constants = likelihood.constants(model.robot, model.x)
-    left = [unexplained(motion, constants) for motion in likelihood.motions]
+    left = likelihood.unexplained(likelihood.motions, model.robot, model.x)
     n, found = model.robot.n_joints, []
     for j in range(n):
         at = j if model.robot.arm.rigid[j] else n + j

@@ -20,7 +20,6 @@ from gms_flex_control.discrepancy.motion import (
     filtered_alike,
     weight_of_neighbours,
 )
-from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.samples import encoder_step
 from gms_flex_control.discrepancy.thresholds import CLEARLY, PRACTICAL
@@ -61,9 +60,8 @@ def fast_ripples(likelihood, model, excluded=()) -> list[FastRipple]:
     """
     if TorqueRipple.name in excluded:
         return []
-    robot, constants = model.robot, likelihood.constants(model.robot, model.x)
-    motions = [at_full_rate(motion) for motion in likelihood.motions]
-    left, found = [unexplained(motion, constants) for motion in motions], []
+    robot, motions = model.robot, [at_full_rate(motion) for motion in likelihood.motions]
+    left, found = likelihood.unexplained(motions, robot, model.x), []
     for j, joint in enumerate(robot.joints):
         if joint not in likelihood.unseen:
             found += _of_joint(motions, left, j, likelihood, robot)

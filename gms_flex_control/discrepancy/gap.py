@@ -8,7 +8,8 @@ from typing import NamedTuple
 from gms_flex_control import friction as gms
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.fitting import at_values, numbers_of, values_of
-from gms_flex_control.discrepancy.null_simulation import null_simulation, STEP
+from gms_flex_control.discrepancy.nuisance import acting
+from gms_flex_control.discrepancy.null_simulation import STEP
 from gms_flex_control.discrepancy.residuals import (
     acts,
     cleared,
@@ -160,10 +161,9 @@ def _whole(likelihood, model):
 
 def _clean(likelihood, model):
     """Return null simulations of a model, list of Motion, or None if it runs away."""
-    constants = likelihood.constants(model.robot, model.x)
     try:
-        return [null_simulation(motion, constants, np.random.default_rng(_SEED))
-                for motion in likelihood.motions]
+        return likelihood.null_simulations(model.robot, model.x)(
+            np.random.default_rng(_SEED) for _ in likelihood.motions)
     except SimulationError:
         return None
 
@@ -203,10 +203,10 @@ def _free_squares(likelihood, parts, motions=None):
         return np.empty((0, likelihood.robot.n_joints))
     jobs = []
     for robot, x, masks in parts:
-        constants = likelihood.constants(robot, x)
+        acted, own = acting(motions or likelihood.recorded(likelihood.motions, x), robot)
+        constants = likelihood.constants(own, x)
         jobs += [(constants, *one) for one in zip(
-            motions or likelihood.recorded(likelihood.motions, x), likelihood.whitenings, masks,
-            strict=True)]
+            acted, likelihood.whitenings, masks, strict=True)]
     return np.concatenate(list(likelihood.pool.map(_squares_of_runs, jobs)))
 
 

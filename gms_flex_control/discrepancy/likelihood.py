@@ -9,15 +9,18 @@ break-away does not count as much as motion does.
 """
 
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 import os
 from typing import NamedTuple, Self
 
 from gms_flex_control.discrepancy.motion import scales_of
 from gms_flex_control.discrepancy.nuisance import (
+    acting,
+    as_recorded,
     nuisances_of,
     of_recordings,
     OfRecording,
@@ -139,17 +142,29 @@ class Likelihood:
 
     def _simulate(self, robot, x):
         """Make the null simulations of a model, without torque noise, and whiten by them."""
-        constants = self.constants(robot, x)
-        readings = [null_readings(motion, constants) for motion in self.motions]
+        simulated = self.null_simulations(robot, x)
 
         def run(k):
-            made = [read(np.random.default_rng([self.seed, k])) for read in readings]
-            return made if k < 2 else None, [unexplained(motion, constants) for motion in made]
+            made = simulated(np.random.default_rng([self.seed, k]) for _ in self.motions)
+            return made if k < 2 else None, self.unexplained(made, robot, x)
         runs, clean = zip(*self.pool.map(run, range(_NULL_RUNS)), strict=True)
         bands = [Band(len(motion.time), motion.period, motion.known) for motion in self.motions]
         self.null = NullRuns(robot, x, clean, runs[:2], bands, self._by_step(
             robot, x, runs[:2], bands))
         self._whiten(np.zeros((len(self.motions), 2 * robot.n_joints)))
+
+    def null_simulations(self, robot, x) -> Callable:
+        """
+        Return a function that takes a generator for each recording and returns Motions.
+
+        SimulationError if the model runs away.
+        """
+        acted, own = acting(self.motions, robot)
+        constants = self.constants(own, x)
+        readings = [null_readings(motion, constants) for motion in acted]
+        return lambda generators: [
+            as_recorded(read(rng), motion, other, robot) for read, rng, motion, other in zip(
+                readings, generators, self.motions, acted, strict=True)]
 
     def _by_step(self, robot, x, pair, bands):
         """Return the spectra of a pair of null simulations by step of each nuisance parameter."""
@@ -318,25 +333,20 @@ class Likelihood:
 
     def residuals(self, motions, robot, x) -> list:
         """Return residual torques per unit of commanded torque, (S, 2 n) of each motion [N m]."""
-        scale, acting = np.ones(2 * robot.n_joints), []
-        motions = self.recorded(motions, x)
+        scale = np.ones(2 * robot.n_joints)
         for spec in robot.effects:
-            kind = find(spec.name)
-            if kind.torque_acted is None:
-                acting.append(spec)
-            else:  # exact, where the errors of angles that it is in the plant are not
-                motions = [motion.with_torque((spec.name, *spec.values), partial(
-                    kind.torque_acted, period=motion.samples.period, values=spec.values))
-                    for motion in motions]
-            factor = kind.torque_scale(spec.values, self._scales[0].supply)
+            factor = find(spec.name).torque_scale(spec.values, self._scales[0].supply)
             if factor != 1.0:
                 j = robot.joints.index(spec.joint)
                 driven = not robot.arm.rigid[j] and spec.joint not in self.unseen
                 scale[j + robot.n_joints * driven] *= np.clip(factor, _LEAST_SCALE, _MOST_SCALE)
-        if len(acting) < len(robot.effects):
-            robot = replace(robot, effects=tuple(acting))
-        constants = self.constants(robot, x)
-        return [unexplained(motion, constants) / scale for motion in motions]
+        return [left / scale for left in self.unexplained(self.recorded(motions, x), robot, x)]
+
+    def unexplained(self, motions, robot, x) -> list:
+        """Return residual torques as `residuals`, of motions as they are, (S, 2 n) each [N m]."""
+        motions, own = acting(motions, robot)
+        constants = self.constants(own, x)
+        return [unexplained(motion, constants) for motion in motions]
 
     def fitted(self, robot, x) -> Fitted:
         """Return a model as it is, a Fitted."""

@@ -8,10 +8,12 @@ stiffness_error, whose own prior is as wide as errors are.
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 from gms_flex_control import records
 from gms_flex_control.discrepancy.motion import Motion
+from gms_flex_control.effects.registry import find
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import RobotParams, sd_of, WHOLE_ARM
 from gms_flex_control.simulation import plant
@@ -134,6 +136,54 @@ def recorded(motion, values) -> Motion:
         return torque
     return motion.with_torque(tuple((one.name, one.joint, value) for one, value in values),
                               cleared)
+
+
+def _misrecorded(robot):
+    """Return the effects of a robot that are errors of recorded torques, list of EffectSpec."""
+    return [spec for spec in robot.effects if find(spec.name).torque_acted]
+
+
+def acting(motions, robot) -> tuple:
+    """
+    Return Motions with the torques that acted, and the robot without errors of recorded ones.
+
+    That is exact, where errors of angles, which such effects are in the plant, are not.
+    """
+    wrong = _misrecorded(robot)
+    for spec in wrong:
+        motions = [motion.with_torque((spec.name, *spec.values), partial(
+            find(spec.name).torque_acted, period=motion.samples.period, values=spec.values))
+            for motion in motions]
+    return motions, replace(robot, effects=tuple(
+        spec for spec in robot.effects if spec not in wrong)) if wrong else robot
+
+
+def as_recorded(run, motion, acted, robot) -> Motion:
+    """
+    Return a Motion with its torques as they would have been recorded.
+
+    Parameters
+    ----------
+    run : Motion
+        Under torques of ``acted`` and slow ones beside them.
+    motion, acted : Motion
+        A recording, and what `acting` makes of it.
+    robot : RobotParams
+        With its errors of recorded torques.
+
+    Returns
+    -------
+    Motion
+
+    """
+    wrong = _misrecorded(robot)
+
+    def back(held):
+        beside = held - acted.samples.command
+        for spec in reversed(wrong):
+            beside = find(spec.name).torque_recorded(beside, motion.samples.period, spec.values)
+        return motion.samples.command + beside
+    return run.with_torque('as recorded', back) if wrong else run
 
 
 def _with_zeros(motion, zeros):

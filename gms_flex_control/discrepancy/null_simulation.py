@@ -21,7 +21,7 @@ from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.discrepancy.motion import make_motion, Motion
 from gms_flex_control.discrepancy.nuisance import OF_SHAPE
-from gms_flex_control.discrepancy.residuals import fresh_state, unexplained
+from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.samples import encoder_step
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE
 from gms_flex_control.discrepancy.whitening import Grams
@@ -135,13 +135,13 @@ def is_followed(likelihood, model) -> bool:
     One that lacks more torque than the recording does, beyond what drives make, goes its own
     way: it shows what a model does that is driven wild, not what noise does.
     """
-    constants, whitened = likelihood.constants(model.robot, model.x), likelihood.whitened
+    whitened = likelihood.whitened
     try:
-        runs = [null_simulation(motion, constants, np.random.default_rng(likelihood.seed))
-                for motion in likelihood.motions]
+        runs = likelihood.null_simulations(model.robot, model.x)(
+            np.random.default_rng(likelihood.seed) for _ in likelihood.motions)
     except SimulationError:
         return False
-    own = whitened.behind_low_pass([unexplained(run, constants) for run in runs])
+    own = whitened.behind_low_pass(likelihood.unexplained(runs, model.robot, model.x))
     most = np.maximum(whitened.in_motion([one ** 2 for one in likelihood.torque(model)]),
                       (LARGEST_NOISE * np.tile(likelihood.coulomb, 2)) ** 2)
     return bool(np.all(whitened.in_motion([one ** 2 for one in own])

@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy import remainder
-from gms_flex_control.discrepancy.null_simulation import null_simulation
-from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.torque_noise import drawn_noise
 from gms_flex_control.effects.registry import find
 import numpy as np
@@ -74,15 +72,14 @@ class Along:
 
     def null(self, model) -> np.ndarray:
         """Return residuals (S, 2n) of a null simulation of a Fitted, torque noise in it."""
-        constants = self.likelihood.constants(model.robot, model.x)
-        rows = []
-        for m, (motion, whitening) in enumerate(zip(
-                self.likelihood.motions, self.likelihood.whitenings, strict=True)):
-            rng = np.random.default_rng([_SEED, m])
-            rows.append(whitening.torque_rows(
-                unexplained(null_simulation(motion, constants, rng), constants)
-                + drawn_noise(self.likelihood, m, rng)))
-        return self._kept(rows)
+        likelihood = self.likelihood
+        generators = [np.random.default_rng([_SEED, m]) for m in range(len(likelihood.motions))]
+        runs = likelihood.null_simulations(model.robot, model.x)(generators)
+        return self._kept([
+            whitening.torque_rows(left + drawn_noise(likelihood, m, generators[m]))
+            for m, (left, whitening) in enumerate(zip(
+                likelihood.unexplained(runs, model.robot, model.x), likelihood.whitenings,
+                strict=True))])
 
     def variables(self, j) -> dict[str, np.ndarray]:
         """Return what residuals of joint ``j`` may depend on, dict of str to (S,)."""
@@ -114,8 +111,8 @@ class AlongUnfiltered(Along):
 
     def residual(self, model) -> np.ndarray:
         """Return residual torques (S, 2n) of a Fitted [N m]."""
-        constants = self.likelihood.constants(model.robot, model.x)
-        return self._kept([unexplained(motion, constants) for motion in self.likelihood.motions])
+        return self._kept(self.likelihood.unexplained(
+            self.likelihood.motions, model.robot, model.x))
 
     def variables(self, j) -> dict[str, np.ndarray]:
         """Return what residuals of joint ``j`` may depend on, dict of str to (S,)."""

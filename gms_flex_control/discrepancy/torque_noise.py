@@ -6,7 +6,6 @@ The quietest octave distinguishes the white part: noise shows in every octave, a
 in some.
 """
 
-from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import Noise
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
 import numpy as np
@@ -38,10 +37,10 @@ def _moving_links(likelihood, m, torque):
         return 0.0
     # small, so that friction along the links is nearly linear in it
     share, motion = PRACTICAL_FLOOR / largest, likelihood.null.pair[0][m]
-    constants = likelihood.constants(likelihood.null.robot, likelihood.null.x)
     noisy = motion.with_torque(object(), lambda command: command + share * torque)
-    return (unexplained(noisy, constants)
-            - unexplained(motion, constants)) / share
+    with_it, without = likelihood.unexplained(
+        [noisy, motion], likelihood.null.robot, likelihood.null.x)
+    return (with_it - without) / share
 
 
 def white_noise(likelihood, model) -> np.ndarray:

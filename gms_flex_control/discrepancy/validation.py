@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.fitting import numbers_of, steps_without
 from gms_flex_control.discrepancy.motion import at_full_rate
+from gms_flex_control.discrepancy.nuisance import acting
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import FEW_BLOCKS, HELD_OUT_NATS, PLAUSIBLE
 import numpy as np
@@ -150,13 +151,14 @@ def prediction_cost(likelihood, models, joint) -> np.ndarray:
     for motion in likelihood.motions:
         fine = at_full_rate(motion)
         for i, (robot, x) in enumerate(models):
-            constants = likelihood.constants(robot, x)
-            left = unexplained(fine, constants)
+            (acted,), own_robot = acting([fine], robot)
+            constants = likelihood.constants(own_robot, x)
+            left = unexplained(acted, constants)
             for j in at:
                 own = left[:, [j, n + j]]
-                acted = np.any(own, axis=0)
-                errors = own / np.where(acted, _inertia(fine, constants, own, j), 1.0)
-                costs[i] += _innovation_cost(errors[:, acted], fine.settled, fine.period)
+                there = np.any(own, axis=0)
+                errors = own / np.where(there, _inertia(acted, constants, own, j), 1.0)
+                costs[i] += _innovation_cost(errors[:, there], fine.settled, fine.period)
     return costs
 
 

@@ -78,9 +78,9 @@ class Effect(ABC):
     fed_forward = False       # a torque that follows smoothly from what a controller measures
     acts_along_motion = True  # what was measured is enough to compute it
     estimated_with_arm = False  # identification finds it anew with the arm
-    # static method (torque, period, values): recorded torques (T, n_joints) [N m] as they acted,
-    # held over samples; None where the effect is no error of recorded torques
-    torque_acted = None
+    # static methods (torque, period, values): recorded torques (T, n_joints) [N m] as they acted,
+    # and those that acted as recorded, held over samples; None of no error of recorded torques
+    torque_acted = torque_recorded = None
 
     @staticmethod
     @abstractmethod

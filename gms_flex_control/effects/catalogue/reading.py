@@ -95,6 +95,10 @@ class RecordingDelay(Term):
         return torque_at_angles(torque, period, values[0])
 
     @staticmethod
+    def torque_recorded(torque, period, values) -> np.ndarray:
+        return torque_at_angles(torque, period, -values[0])
+
+    @staticmethod
     def apply(s, p, memory, dt) -> None:
         for j in range(int(s[sig.JOINTS])):
             k = sig.WIDTH * j
