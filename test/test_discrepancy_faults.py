@@ -128,30 +128,36 @@ def test_with_no_effect_to_look_for_it_is_said_that_something_is_left():
     assert result.verdict == UNEXPLAINED and result.searched.tried == ()
 
 
-def test_torque_that_was_recorded_late_is_named(case):
-    """By a sample of 2 ms, of all joints alike; late encoders explain less of it."""
+@pytest.mark.parametrize('samples', [1, 5, -5])
+def test_torque_that_was_recorded_late_or_early_is_named(case, samples):
+    """By samples of 2 ms, of all joints alike; late encoders explain less of it."""
     def later(torque):
-        return np.concatenate([torque[:1], torque[:-1]])
+        return torque[np.clip(np.arange(len(torque)) - samples, 0, len(torque) - 1)]
 
     shifted = replace(case.recording, command=later(case.recording.command),
                       tau_motor=later(case.recording.tau_motor))
     result = find_discrepancy([shifted], case.nominal, Options(most=1))
     first = result.findings[0]
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
-    assert first.values[0].value == pytest.approx(-2e-3, rel=0.1)
+    assert first.values[0].value == pytest.approx(-2e-3 * samples, rel=0.1)
+    if abs(samples) > 1:  # one matters little: written if noise does not hide that
+        assert [spec.name for spec in result.robot.effects] == ['recording_delay']
+        assert np.all(result.gap.free_after < 0.6 * result.gap.free_before)
 
 
-def test_torque_of_a_single_axis_that_was_recorded_late_is_named():
-    """Where torque was measured no drive is late: nothing else may stand for it."""
+@pytest.mark.parametrize('is_measured', [True, False])
+def test_torque_of_a_single_axis_that_was_recorded_late_is_named(is_measured):
+    """Measured or commanded, no drive is early: nothing else may stand for it."""
     robot, time = axis(rigid=True), 2e-3 * np.arange(10_001)
     command = sum(size * np.sin(2.0 * np.pi * hertz * time[:-1])
                   for size, hertz in ((0.3, 0.7), (0.3, 1.9), (0.15, 4.3)))
     angle = simulate_open(robot, command[:, None])[:, 0]
-    measured = np.append(np.zeros(2), command[:-1])  # of the sample that ended, a sample late
+    # a sample late: measured is that of the sample that ended, commanded that which begins
+    late = np.append(np.zeros(2), command[:-1]) if is_measured else np.append(0.0, command)
     result = find_discrepancy([Recording(
         joints=robot.joints, time=time, q_link=angle + 1e-6 * np.random.default_rng(
-            4).standard_normal(angle.shape), tau_motor=measured[:, None],
-        source='late')], robot, Options(most=1))
+            4).standard_normal(angle.shape), source='late',
+        **{'tau_motor' if is_measured else 'command': late[:, None]})], robot, Options(most=1))
     first = result.findings[0]
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
     assert first.values[0].value == pytest.approx(-2e-3, rel=0.05)

@@ -33,6 +33,20 @@ def test_a_null_simulation_belongs_to_its_model_whatever_the_recording_held(idea
     assert np.ptp(motion.samples.readings[:, 1], axis=0).min() > 0.4
 
 
+@pytest.mark.parametrize('delay', [9.5e-3, -4e-3])
+def test_a_null_simulation_is_recorded_as_wrongly_as_its_model_says(ideal_robot, gains, delay):
+    """By samples: what its torques leave, taken as they acted, is its encoders' alone."""
+    late = replace(ideal_robot, effects=(EffectSpec(
+        name='recording_delay', joint='arm', values=(delay,)),))
+    likelihood = Likelihood([driven_motion(ideal_robot, gains)], ideal_robot)
+    x, static = np.zeros(len(likelihood.nuisances)), np.tile(ideal_robot.friction.forward.static,
+                                                             2)
+    runs = likelihood.null_simulations(late, x)([np.random.default_rng(0)])
+    left, as_stamped = (np.sqrt(np.mean(uniform_filter1d(likelihood.unexplained(
+        runs, robot, x)[0][50:-50], 10, axis=0) ** 2, axis=0)) for robot in (late, ideal_robot))
+    assert np.all(left < 0.02 * static) and np.all(left[2:] < 0.1 * as_stamped[2:])
+
+
 @pytest.mark.parametrize('inertia', [0.11, 0.01, 0.0])
 def test_a_rigid_axis_is_held_on_its_motion_wherever_its_inertia_stands(inertia):
     """Of link or rotor; friction is believed a fifth too small."""

@@ -58,15 +58,16 @@ def guesses_of(likelihood, excluded=(), fine=None, only=None) -> list:
                 or kind.needs_chain and robot.arm.kind == 'decoupled'):
             continue
         for at, joint in enumerate([WHOLE_ARM] if kind.whole_arm else robot.joints):
-            if (only is not None and (name, joint) not in only
-                    or joint in likelihood.unseen and kind.needs_link_encoder):
+            unseen = likelihood.unseen if kind.whole_arm else joint in likelihood.unseen
+            if only is not None and (name, joint) not in only or (
+                    unseen and kind.needs_link_encoder):
                 continue
-            if kind.whole_arm and kind.needs_link_encoder and (
-                    likelihood.unseen or robot.n_joints == 1 and commanded):
-                continue  # of a single joint a drive that is late does the same
             scales = likelihood.scales_of(joint)._replace(fine_orders=fine[at] if fine else ())
-            bounds = kind.search_bounds(at, robot)
-            found += [(name, joint, allowed(guess, *bounds)) for guess in kind.guesses(scales)]
+            lower, upper = kind.search_bounds(at, robot)
+            if kind.torque_acted and robot.n_joints == 1 and commanded:
+                upper = [0.0]  # of a single joint a drive that is late does the same
+            found += [(name, joint, allowed(guess, lower, upper))
+                      for guess in kind.guesses(scales)]
     return found
 
 
