@@ -279,9 +279,11 @@ def _written(likelihood, found, larger, held_out, further, named):
     """
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
+
+    def is_plausible(state):
+        return np.all(np.abs(state.model.x) / likelihood.sd <= limit)
     for state in sorted(found.tried, key=lambda state: -state.evidence):
-        if np.isfinite(state.evidence) and np.all(
-                np.abs(state.model.x) / likelihood.sd <= limit):
+        if np.isfinite(state.evidence) and is_plausible(state):
             best.setdefault(len(state.key(known)), state)
 
     def is_safe(state, alone):
@@ -297,7 +299,7 @@ def _written(likelihood, found, larger, held_out, further, named):
             likelihood, held_out, state, found.before, named))
     others = [one for one in (
         found.before, larger.best, *(best[size] for size in sorted(best)[:_SIZES]), *further)
-        if is_written(one)]
+        if (one.key(known) or is_plausible(one)) and is_written(one)]
     wholes = [(found.best, found.before)] if is_written(found.best) else []
     if found.best.key(known) and not wholes:
         of_named = {joint for _, joint in named if joint in likelihood.robot.joints}
