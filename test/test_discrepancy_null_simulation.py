@@ -17,6 +17,7 @@ from gms_flex_control.params.robot import EffectSpec, FrictionParams, StribeckPa
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 
 def test_a_null_simulation_belongs_to_its_model_whatever_the_recording_held(ideal_robot, gains):
