@@ -253,12 +253,12 @@ def nuisances_of(robot) -> tuple:
         add('asymmetry', j, *level, signs=(1, 1, -1, -1))
         for kind, signs in (('viscous', (1, 1)), ('viscous_asymmetry', (1, -1))):
             add(kind, j, *(('friction', 'viscous', (row, j)) for row in (0, 1)), signs=signs)
+        # plausibly not below Coulomb friction; stribeck_error lifts it
+        most = 0.5 * float(np.min(1.0 - friction.coulomb[:, j] / friction.static[:, j]))
+        if most >= LEAST_SD:
+            found.append(Nuisance('static', j, min(sd('static', j), most), tuple(
+                ('friction', 'static', (row, j)) for row in (0, 1)), (1, 1)))
         for row in (0, 1):
-            # plausibly not below Coulomb friction; stribeck_error lifts it
-            most = 0.5 * (1.0 - friction.coulomb[row, j] / friction.static[row, j])
-            if most >= LEAST_SD:
-                found.append(Nuisance('static', j, min(sd('static', j), most),
-                                      (('friction', 'static', (row, j)),), (1,)))
             add('velocity', j, ('friction', 'velocity', (row, j)))
         add('attraction', j, ('friction', 'attraction', j))
         add('blocks', j, ('friction', 'stiffness', j))
