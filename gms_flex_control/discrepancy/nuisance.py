@@ -15,7 +15,7 @@ from gms_flex_control import records
 from gms_flex_control.discrepancy.motion import Motion
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.robot import LEAST_SD, RobotParams, sd_of, WHOLE_ARM
+from gms_flex_control.params.robot import RobotParams, sd_of, WHOLE_ARM
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -253,11 +253,9 @@ def nuisances_of(robot) -> tuple:
         add('asymmetry', j, *level, signs=(1, 1, -1, -1))
         for kind, signs in (('viscous', (1, 1)), ('viscous_asymmetry', (1, -1))):
             add(kind, j, *(('friction', 'viscous', (row, j)) for row in (0, 1)), signs=signs)
-        # plausibly not below Coulomb friction; stribeck_error lifts it
-        most = 0.5 * float(np.min(1.0 - friction.coulomb[:, j] / friction.static[:, j]))
-        if most >= LEAST_SD:
-            found.append(Nuisance('static', j, min(sd('static', j), most), tuple(
-                ('friction', 'static', (row, j)) for row in (0, 1)), (1, 1)))
+        above = (1.0 - 2.0 * sd('static', j)) * friction.static[:, j] >= friction.coulomb[:, j]
+        if above.all():  # else it may fall below Coulomb friction; stribeck_error lifts it
+            add('static', j, *(('friction', 'static', (row, j)) for row in (0, 1)))
         for row in (0, 1):
             add('velocity', j, ('friction', 'velocity', (row, j)))
         add('attraction', j, ('friction', 'attraction', j))
