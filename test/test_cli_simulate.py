@@ -39,7 +39,7 @@ def simulate(tmp_path, capsys):
 
 @pytest.mark.parametrize('modes', [['gms'], ['none', 'gms']])
 def test_what_comes_next_runs_with_motors_of_any_name(modes, simulate, tmp_path, capsys):
-    """Names in a bag do not tell which are motors then, and config/ knows another robot."""
+    """Names in a bag do not show which are motors then, and config/ knows another robot."""
     robot = tmp_path / 'robot.yaml'
     robot.write_text(ROBOT.read_text().replace('[joint1_motor, joint2_motor]', "['m 1', drive]"))
     code, printed, _ = simulate('--robot', robot, '--duration', '1', '--compensation', *modes)

@@ -55,7 +55,7 @@ def simulate(args) -> int:
 
 
 def _names(robot):
-    """Return options that name links and motors, if names alone do not tell which is which."""
+    """Return options that name links and motors, if names alone do not show which is which."""
     if all(motor in ('', joint + MOTOR_SUFFIX)
            for joint, motor in zip(robot.joints, robot.motors, strict=True)):
         return ()

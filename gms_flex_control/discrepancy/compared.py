@@ -9,7 +9,7 @@ from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.gap import all_known, FARTHEST, free_rms, free_runs, torque_rms
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
-from gms_flex_control.discrepancy.nuisance import acting, with_nuisances
+from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.result import Discrepancy
 from gms_flex_control.discrepancy.samples import supply_voltage
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
@@ -84,8 +84,8 @@ def free_runs_of(behind, holdout) -> FreeRuns:
     motion = motion_of(holdout[0], likelihood.robot) if holdout else likelihood.motions[0]
     errors = []
     for model in (behind.before, behind.after):
-        (acted,), robot = acting([motion], model.robot)
-        starts, link, _ = free_runs(acted, likelihood.constants(robot, model.x))
+        (acted,), constants = likelihood.acted([motion], model.robot, model.x)
+        starts, link, _ = free_runs(acted, constants)
         step = max(1, int(np.ceil(link.shape[1] * len(starts) / _POINTS)))
         error = -np.clip(link, -FARTHEST, FARTHEST)[:, ::step]
         error[~all_known(motion, starts)] = np.nan  # a hole in the angles

@@ -8,7 +8,6 @@ from typing import NamedTuple
 from gms_flex_control import friction as gms
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.fitting import at_values, numbers_of, values_of
-from gms_flex_control.discrepancy.nuisance import acting
 from gms_flex_control.discrepancy.null_simulation import STEP
 from gms_flex_control.discrepancy.residuals import (
     acts,
@@ -203,8 +202,8 @@ def _free_squares(likelihood, parts, motions=None):
         return np.empty((0, likelihood.robot.n_joints))
     jobs = []
     for robot, x, masks in parts:
-        acted, own = acting(motions or likelihood.recorded(likelihood.motions, x), robot)
-        constants = likelihood.constants(own, x)
+        acted, constants = likelihood.acted(
+            motions or likelihood.recorded(likelihood.motions, x), robot, x)
         jobs += [(constants, *one) for one in zip(
             acted, likelihood.whitenings, masks, strict=True)]
     return np.concatenate(list(likelihood.pool.map(_squares_of_runs, jobs)))

@@ -159,8 +159,7 @@ class Likelihood:
 
         SimulationError if the model runs away.
         """
-        acted, own = acting(self.motions, robot)
-        constants = self.constants(own, x)
+        acted, constants = self.acted(self.motions, robot, x)
         readings = [null_readings(motion, constants) for motion in acted]
         return lambda generators: [
             as_recorded(read(rng), motion, other, robot) for read, rng, motion, other in zip(
@@ -308,6 +307,11 @@ class Likelihood:
         mine = x[:len(self.nuisances)]  # recordings held out have none of their own
         return tuned(plant.constants_of(robot), self.nuisances, mine, self._own)
 
+    def acted(self, motions, robot, x) -> tuple:
+        """Return motions with the torques that acted, and the kernels' record of their robot."""
+        motions, own = acting(motions, robot)
+        return motions, self.constants(own, x)
+
     def recorded(self, motions, x) -> list:
         """Return motions cleared of what nuisance parameters (P,) make particular about each."""
         particular = [(one, float(value)) for one, value in zip(self.nuisances, x, strict=False)
@@ -344,9 +348,8 @@ class Likelihood:
 
     def unexplained(self, motions, robot, x) -> list:
         """Return residual torques as `residuals`, of motions as they are, (S, 2 n) each [N m]."""
-        motions, own = acting(motions, robot)
-        constants = self.constants(own, x)
-        return [unexplained(motion, constants) for motion in motions]
+        acted, constants = self.acted(motions, robot, x)
+        return [unexplained(motion, constants) for motion in acted]
 
     def fitted(self, robot, x) -> Fitted:
         """Return a model as it is, a Fitted."""

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.fitting import numbers_of, steps_without
 from gms_flex_control.discrepancy.motion import at_full_rate
-from gms_flex_control.discrepancy.nuisance import acting
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import FEW_BLOCKS, HELD_OUT_NATS, PLAUSIBLE
 import numpy as np
@@ -151,8 +150,7 @@ def prediction_cost(likelihood, models, joint) -> np.ndarray:
     for motion in likelihood.motions:
         fine = at_full_rate(motion)
         for i, (robot, x) in enumerate(models):
-            (acted,), own_robot = acting([fine], robot)
-            constants = likelihood.constants(own_robot, x)
+            (acted,), constants = likelihood.acted([fine], robot, x)
             left = unexplained(acted, constants)
             for j in at:
                 own = left[:, [j, n + j]]
