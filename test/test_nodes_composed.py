@@ -30,6 +30,44 @@ from test_nodes_loop import (  # noqa: F401  what no lockstep shows holds here a
 )
 
 
+@pytest.fixture(scope='module')
+def loop(tmp_path_factory):
+    """Run the loop in one process, moving along the sinusoid; yield a Lab as test_nodes_loop."""
+    with Lab(tmp_path_factory.mktemp('loop')) as lab:
+        lab.controller = lab.trajectory = lab.plant = lab.start(
+            'loop_node', files=MOTION, rate=RATE, trajectory__autostart=True, silence_timeout=1.0)
+        listen(lab)
+        yield lab
+
+
+def test_each_state_is_answered_once_and_nothing_is_heard_twice(loop):
+    loop.more(loop.states, 100)
+    stamps = [stamp_of(command) for command in loop.commands
+              if any(command.data)]  # zero is sent again where the whole process stood still
+    assert len(set(stamps)) == len(stamps) > 100
+    assert 'at once' not in loop.plant.printed()  # two controllers, or two trajectories
+
+
+def test_names_topics_and_services_are_those_of_three_nodes(loop):
+    names = {'plant', '_plant_safety', 'cascade_controller', 'trajectory'}
+    assert names <= set(loop.node.get_node_names())
+    for name, topics in {
+            'plant': {STATES}, 'trajectory': {REFERENCE},
+            'cascade_controller': {COMMANDS, *(f'/cascade_controller/{what}' for what in (
+                'state', 'blocks', 'sticking'))}}.items():
+        assert topics <= {topic for topic, _ in
+                          loop.node.get_publisher_names_and_types_by_node(name, '/')}
+    for name, topics in {'plant': {COMMANDS}, 'trajectory': {STATES},
+                         'cascade_controller': {STATES, REFERENCE}}.items():
+        assert topics <= {topic for topic, _ in
+                          loop.node.get_subscriber_names_and_types_by_node(name, '/')}
+
+
+def test_a_signal_leaves_zero_torque(loop):  # the last with it: no loop runs beside other tests
+    assert loop.plant.signal(TERM) == 0
+    loop.until(lambda: not any(loop.commands[-1].data))
+
+
 def test_lockstep_in_one_process_is_the_simulation_to_the_last_bit(tmp_path):
     with Lab(tmp_path) as lab:
         recorder = lab.run([*executable('gms_flex'), 'record', '--topics', *TOPICS, '--out',
@@ -79,41 +117,6 @@ def wakes(thread):
     """Return how often a thread has slept so far."""
     return int(re.search(r'\nvoluntary_ctxt_switches:\s+(\d+)',
                          Path(f'/proc/{thread}/status').read_text())[1])
-
-
-@pytest.fixture(scope='module')
-def loop(tmp_path_factory):
-    """Run the loop in one process, moving along the sinusoid; yield a Lab as test_nodes_loop."""
-    with Lab(tmp_path_factory.mktemp('loop')) as lab:
-        lab.controller = lab.trajectory = lab.plant = lab.start(
-            'loop_node', files=MOTION, rate=RATE, trajectory__autostart=True, silence_timeout=1.0)
-        listen(lab)
-        yield lab
-        assert lab.plant.signal(TERM) == 0
-        lab.until(lambda: not any(lab.commands[-1].data))
-
-
-def test_each_state_is_answered_once_and_nothing_is_heard_twice(loop):
-    loop.more(loop.states, 100)
-    stamps = [stamp_of(command) for command in loop.commands
-              if any(command.data)]  # zero is sent again where the whole process stood still
-    assert len(set(stamps)) == len(stamps) > 100
-    assert 'at once' not in loop.plant.printed()  # two controllers, or two trajectories
-
-
-def test_names_topics_and_services_are_those_of_three_nodes(loop):
-    names = {'plant', '_plant_safety', 'cascade_controller', 'trajectory'}
-    assert names <= set(loop.node.get_node_names())
-    for name, topics in {
-            'plant': {STATES}, 'trajectory': {REFERENCE},
-            'cascade_controller': {COMMANDS, *(f'/cascade_controller/{what}' for what in (
-                'state', 'blocks', 'sticking'))}}.items():
-        assert topics <= {topic for topic, _ in
-                          loop.node.get_publisher_names_and_types_by_node(name, '/')}
-    for name, topics in {'plant': {COMMANDS}, 'trajectory': {STATES},
-                         'cascade_controller': {STATES, REFERENCE}}.items():
-        assert topics <= {topic for topic, _ in
-                          loop.node.get_subscriber_names_and_types_by_node(name, '/')}
 
 
 def report_after(lab, figure):

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
+PERIOD = 5_000_000  # [ns]
 THREE = ['plant_node', 'controller_node', 'trajectory_node']
 RUNS = r'/\w+ runs already, as process \d+ on .+: end it, or start this one in another namespace'
 
 
 def start(lab, name, number='', **parameters):
     """Start a node of the loop; the arm moves as soon as all are there."""
-    return lab.start(f'{name}.{number}', files=MOTION, rate=200.0, silence_timeout=1.0,
+    return lab.start(f'{name}.{number}', files=MOTION, rate=1e9 / PERIOD, silence_timeout=1.0,
                      trajectory__autostart=True, **parameters)
 
 
@@ -35,15 +36,14 @@ def test_a_second_node_of_one_name_ends_with_a_sentence_and_says_nothing(lab, na
     second = start(lab, name, 'second')
     lab.until(lambda: not second.runs)
     assert second.wait() == 2
-    assert re.fullmatch(rf'{name}: {RUNS}.*\n', second.printed())
+    # on a busy machine it says as well that it takes long
+    assert re.fullmatch(rf'(.*: still starting: .*\n)?{name}: {RUNS}.*\n', second.printed())
     lab.more(lab.states, 50)
     assert all(process.runs for process in lab.first)
     assert 'at once' not in ''.join(process.printed() for process in lab.first)
     stamps = np.array([stamp_of(state) for state in lab.states[begin:]])
-    angles = np.array([state.position for state in lab.states[begin:]])
-    assert (np.diff(stamps) > 0).all()
-    # one arm: no link is elsewhere a sample later
-    assert np.abs(np.diff(angles, axis=0)).max() < 0.5 * np.diff(stamps).max() * 1e-9 / 5e-3
+    # one arm: whole samples lie between its states, whatever a busy machine leaves out
+    assert (np.diff(stamps) > 0).all() and len(set(stamps % PERIOD)) == 1
     senders = {dim.label for command in lab.commands for dim in command.layout.dim
                if dim.label.startswith('source:')}
     assert len(senders) == 1

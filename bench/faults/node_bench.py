@@ -27,7 +27,7 @@ DIAGNOSTICS = '/diagnostics'
 _HEARD = Path(__file__).with_name('local_sockets_heard.xml')  # it hears what it publishes
 _WAIT = 0.02  # at most between two looks at a condition [s]
 _LOOP = ('plant_node', 'controller_node', 'trajectory_node', 'loop_node')
-_QUEUE = 10000
+_QUEUE = 5000  # what Fast DDS keeps at most: of more it refuses the newest, not the oldest
 
 
 class WaitedInVain(GmsFlexError, AssertionError):
