@@ -165,7 +165,14 @@ def scales_of(motions, robot) -> list:
             supply=min(float(one.samples.supply.mean()) for one in motions),
             count=max(sampling.encoder_step(one.samples.readings[:, 0, j], one.samples.noise[0, j])
                       for one in motions),
-            presliding=float(np.max(robot.friction.weight[j] * robot.friction.forward.coulomb[j]
-                                    / robot.friction.stiffness[j])),
+            presliding=_presliding(robot.friction, j),
             in_space=arm.frames is not None))
     return found
+
+
+def _presliding(friction, joint):
+    """Return the displacement at which the softest block of a joint slips, 0 without any."""
+    level = friction.weight[joint] * friction.forward.coulomb[joint]
+    stiffness = friction.stiffness[joint]
+    acts = stiffness > 0.0
+    return float(np.max(level[acts] / stiffness[acts], initial=0.0))
