@@ -26,10 +26,7 @@ from gms_flex_control.cli.options import (
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import controller_file, robot_file, share_path, write_text
 from gms_flex_control.identification.identify import identify
-from gms_flex_control.identification.outcome import (
-    Estimate,
-    Interval,
-)
+from gms_flex_control.identification.outcome import Estimate, Interval
 from gms_flex_control.schema.build import controller_values, robot_values
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np

@@ -12,11 +12,7 @@ from gms_flex_control.data.conditions import conditions_of, repeat_conditions
 from gms_flex_control.data.recording import Operation
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.design import determination
-from gms_flex_control.design.determination import (
-    experiments_for,
-    missing_of,
-    plan_determination,
-)
+from gms_flex_control.design.determination import experiments_for, missing_of, plan_determination
 from gms_flex_control.design.motions import below_break_away, by_hand, candidates, random_moves
 from gms_flex_control.design.plan import (
     BUDGET,

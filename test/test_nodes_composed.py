@@ -9,16 +9,7 @@ from bridge_lab import bridge_lab, move
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import executable, TOPICS
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
-from node_harness import (
-    COMMANDS,
-    JointState,
-    Lab,
-    MOTION,
-    REFERENCE,
-    stamp_of,
-    STATES,
-    TERM,
-)
+from node_harness import COMMANDS, JointState, Lab, MOTION, REFERENCE, stamp_of, STATES, TERM
 import numpy as np
 import pytest
 from test_nodes_lockstep import assert_equal

@@ -4,12 +4,7 @@
 import time
 
 from bench.faults import broken_node
-from bench.faults.rigs import (
-    CONTROLLER,
-    HeldRobot,
-    largest_torque,
-    TRAJECTORY,
-)
+from bench.faults.rigs import CONTROLLER, HeldRobot, largest_torque, TRAJECTORY
 from bench.faults.wire import as_parameter
 from rcl_interfaces.srv import GetParameters, SetParameters
 from std_srvs.srv import Trigger

@@ -3,13 +3,7 @@
 
 import time
 
-from bench.faults.node_bench import (
-    COMMANDS,
-    config,
-    default_files,
-    DIAGNOSTICS,
-    STATES,
-)
+from bench.faults.node_bench import COMMANDS, config, default_files, DIAGNOSTICS, STATES
 from bench.faults.wire import JOINTS, stamp_of
 from diagnostic_msgs.msg import DiagnosticArray
 from gms_flex_control.file_io import robot_file

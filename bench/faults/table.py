@@ -8,15 +8,7 @@ from pathlib import Path
 import tempfile
 import time
 
-from bench.faults import (
-    bags,
-    clocks,
-    exceptions,
-    lost_nodes,
-    silence,
-    traffic,
-    wrong_messages,
-)
+from bench.faults import bags, clocks, exceptions, lost_nodes, silence, traffic, wrong_messages
 from bench.faults.node_bench import Bench
 from bench.faults.tally import FAILED, Fault, judged, Tally
 

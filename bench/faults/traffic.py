@@ -8,13 +8,7 @@ import time
 from bench.faults import storm
 from bench.faults.lost_nodes import torque_of
 from bench.faults.node_bench import COMMANDS, STATES
-from bench.faults.rigs import (
-    CONTROLLER,
-    Diagnostics,
-    largest_torque,
-    Log,
-    Loop,
-)
+from bench.faults.rigs import CONTROLLER, Diagnostics, largest_torque, Log, Loop
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy

@@ -22,11 +22,7 @@ from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
 from gms_flex_control.identification.outcome import Interval
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.simulation.predictor import (
-    ATTRACTION,
-    BLOCKS,
-    parameter_rows,
-)
+from gms_flex_control.simulation.predictor import ATTRACTION, BLOCKS, parameter_rows
 import numpy as np
 from scipy.optimize import least_squares, minimize
 from scipy.signal import detrend

@@ -8,12 +8,7 @@ import time
 
 from bench.real_machines import least_squares
 from bench.real_machines.least_squares import Part
-from bench.real_machines.motion import (
-    low_pass,
-    motion_of,
-    residual_torque,
-    rms,
-)
+from bench.real_machines.motion import low_pass, motion_of, residual_torque, rms
 from gms_flex_control.discrepancy.compared import compare
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.errors import GmsFlexError

@@ -15,11 +15,7 @@ from gms_flex_control.data.signal_analysis import rms, standing_out
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.likelihood import with_effect
-from gms_flex_control.discrepancy.motion import (
-    at_full_rate,
-    filtered_alike,
-    weight_of_neighbours,
-)
+from gms_flex_control.discrepancy.motion import at_full_rate, filtered_alike, weight_of_neighbours
 from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.samples import encoder_step
 from gms_flex_control.discrepancy.thresholds import CLEARLY, PRACTICAL

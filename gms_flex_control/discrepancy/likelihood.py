@@ -36,12 +36,7 @@ from gms_flex_control.discrepancy.null_simulation import (
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR, UNSEEN
 from gms_flex_control.discrepancy.torque_noise import drawn_noise
-from gms_flex_control.discrepancy.whitening import (
-    Band,
-    Groups,
-    WhitenedRecordings,
-    Whitening,
-)
+from gms_flex_control.discrepancy.whitening import Band, Groups, WhitenedRecordings, Whitening
 from gms_flex_control.effects.base import Change, Scales
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import EffectSpec, RobotParams

@@ -14,12 +14,7 @@ from gms_flex_control.discrepancy.evidence import finite, State, state_of
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.search import Found
 from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, PLAUSIBLE
-from gms_flex_control.discrepancy.validation import (
-    Gain,
-    gain_where,
-    predicted,
-    prediction_cost,
-)
+from gms_flex_control.discrepancy.validation import Gain, gain_where, predicted, prediction_cost
 from gms_flex_control.effects.registry import find
 import numpy as np
 

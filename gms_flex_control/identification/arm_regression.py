@@ -43,11 +43,7 @@ from gms_flex_control.identification.inertial_parameters import (
     UNITS,
 )
 from gms_flex_control.identification.segments import drive_sides, rigid_where
-from gms_flex_control.identification.uncertainty import (
-    clustered,
-    inverse_of,
-    memory_of,
-)
+from gms_flex_control.identification.uncertainty import clustered, inverse_of, memory_of
 from gms_flex_control.params.arm import ArmParams, at_last_link, carrying, in_space
 from gms_flex_control.params.robot import RobotParams
 import numpy as np

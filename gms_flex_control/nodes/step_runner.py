@@ -9,11 +9,7 @@ from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.design.motions import APPROACH
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import TOPICS
-from gms_flex_control.experiment.identification_plan import (
-    Adaptation,
-    ExperimentError,
-    LEAVING,
-)
+from gms_flex_control.experiment.identification_plan import Adaptation, ExperimentError, LEAVING
 from gms_flex_control.experiment.identification_steps import BRAKING_TIME
 from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.messages import NANOSECONDS, to_nanoseconds

@@ -13,14 +13,7 @@ from typing import NamedTuple
 import xml.etree.ElementTree as ElementTree
 
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
-from gms_flex_control.params.arm import (
-    Body,
-    Frames,
-    joined,
-    moved,
-    nearest_inertia,
-    require_body,
-)
+from gms_flex_control.params.arm import Body, Frames, joined, moved, nearest_inertia, require_body
 import numpy as np
 
 LARGEST = 20_000_000  # bytes of a URDF
