@@ -50,7 +50,7 @@ def test_a_linear_axis_has_no_gravity_that_turns_with_its_position():
     recorded = pendulum()
     robot = rigid_joints(recorded.joints)
     found = estimate_arm([recorded], replace(robot, arm=replace(robot.arm, axes='linear')))
-    assert list(found.numbers[0]) == [0] and not found.robot.arm.gravity.any()
+    assert list(found.joints[0].numbers) == [0] and not found.robot.arm.gravity.any()
 
 
 def test_motion_one_way_has_no_constant_torque_beside_friction():
@@ -128,7 +128,7 @@ def test_friction_that_varies_with_the_angle_is_not_called_friction_by_load(orde
 def test_no_ripple_is_made_up_where_there_is_none():
     recorded = pendulum()
     arm_fit = estimate_arm([recorded], rigid_joints(recorded.joints))
-    assert arm_fit.ripples == (None,) and not arm_fit.robot.effects
+    assert arm_fit.joints[0].ripple is None and not arm_fit.robot.effects
 
 
 def planar_arm(**changes):

@@ -144,11 +144,6 @@ class Layout(NamedTuple):
     unknown: list
     shared: np.ndarray
 
-    @property
-    def slices(self) -> tuple:
-        """Return the five slices."""
-        return self[:5]
-
 
 def layout_of(count: int, recordings, prior_sd) -> Layout:
     """Return the Layout of ``count`` base parameters and what recordings leave open."""

@@ -41,90 +41,92 @@ _SCALE = estimated(
     known=False)
 
 
+class JointArm(NamedTuple):
+    """What a regression says of one joint, and which numbers are corrected along with friction."""
+
+    motor: axis_fit.MotorFit | None  # None where not fitted
+    axis: axis_fit.AxisFit | None = None  # None of a link of a chain; then nothing is corrected
+    ripple: axis_fit.Ripple | None = None
+    numbers: np.ndarray = np.zeros(0, dtype=int)  # (R,), of inertia, cosine, sine and constant
+    units: np.ndarray = np.zeros(0)  # (R,), what a correction of 1 means, in the unit of each
+
+    @property
+    def friction(self) -> float | None:
+        """Return the usual friction [N m], None where it was not looked for."""
+        return self.axis and self.axis.friction
+
+
 class ArmFit(NamedTuple):
     """What a regression says of the arm."""
 
     robot: RobotParams  # with the arm found
-    motors: tuple   # MotorFit per joint, None where not fitted
-    numbers: tuple  # per joint which numbers of the arm are corrected along with friction
-    units: tuple    # per joint what a correction of 1 means (R,), in the unit of the number
-    constant: np.ndarray  # (n,), torque needed at any angle and speed [N m]
-    friction: tuple  # per joint its usual friction [N m], None where not looked for
-    shares: tuple    # per joint the torque of its inertia, of the whole
-    ripples: tuple   # per joint its Ripple or None
-    loaded: np.ndarray  # (n,), friction per torque carried, 0 where it does not grow
-    final: tuple = ()  # per joint its Estimates, where no correction is fitted along with friction
+    joints: tuple       # of JointArm
+    final: tuple = ()   # per joint its Estimates, where no correction is fitted later
     differences: Differences | None = None  # between recordings, of an arm in space
     spread: np.ndarray | None = None  # (3, n), of `nearest_arm`, of links that carry each other
+
+    @property
+    def loaded(self) -> np.ndarray:
+        """Return the friction per torque carried (n,), 0 where it does not grow."""
+        return np.array([one.axis.per_load if one.axis else 0.0 for one in self.joints])
 
     def cleared(self, segment: Segment) -> Segment:
         """Return a segment without the constant torque and the friction that grows with load."""
         arm = self.robot.arm
         carried = segment.torque - arm.rigid * arm.motor_inertia * segment.acceleration
-        grown = friction_by_load(segment, carried, self.loaded)
-        taken = grown + self.constant
+        taken = friction_by_load(segment, carried, self.loaded) + [
+            one.axis.constant if one.axis else 0.0 for one in self.joints]
         return replace(segment, torque=segment.torque - taken, taken=segment.taken + taken)
 
     def extras(self) -> tuple[Callable | None, ...]:
         """Return per joint a function Segment -> further torques (T, R) per correction."""
-        return tuple(self._columns(j) if len(chosen) else None
-                     for j, chosen in enumerate(self.numbers))
+        return tuple(_columns(one, j) if len(one.numbers) else None
+                     for j, one in enumerate(self.joints))
 
-    def _columns(self, joint):
-        chosen, units = self.numbers[joint], self.units[joint]
 
-        def extra(segment):
-            angle = filled(segment.angle)[:, joint]
-            torque = np.stack([segment.acceleration[:, joint], np.cos(angle), np.sin(angle),
-                               np.ones(len(angle))], axis=1)
-            return -units * torque[:, chosen]
-        return extra
+def _columns(joint, j):
+    def extra(segment):
+        angle = filled(segment.angle)[:, j]
+        torque = np.stack([segment.acceleration[:, j], np.cos(angle), np.sin(angle),
+                           np.ones(len(angle))], axis=1)
+        return -joint.units * torque[:, joint.numbers]
+    return extra
 
 
 def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     """Estimate the arm of recordings; the robot's kind, lengths and frames are relied on."""
     n = robot.n_joints
-    motors = tuple(axis_fit.fit_motor(recordings, j) if two_sided(recordings, j) else None
-                   for j in range(n))
+    motors = [axis_fit.fit_motor(recordings, j) if two_sided(recordings, j) else None
+              for j in range(n)]
     robot = replace(robot, arm=with_motors(robot.arm, motors))
     if robot.arm.frames or robot.arm.kind == 'planar' and n > 1:
         return _of_chain(recordings, robot, motors)
-    drives = [_drive_of(recordings, robot.arm, j) for j in range(n)]
-    numbers, units, axes, ripples, constant, arm = [], [], [], [], np.zeros(n), robot.arm
-    for j in range(n):
-        rows = axis_fit.rows_of(recordings, drives[j], j)
+    joints, arm, effects = [], robot.arm, []
+    for j, name in enumerate(robot.joints):
+        rows = axis_fit.rows_of(recordings, _drive_of(recordings, robot.arm, j), j)
         axis, ripple = axis_fit.fit_axis_with_ripple(
-            recordings, rows, j, robot.joints[j], recordings[0].source, arm.axes == 'rotary')
-        ripples.append(ripple)
-        inertia = _inertia_to_use(axis, rows)
+            recordings, rows, j, name, recordings[0].source, arm.axes == 'rotary')
+        effects += [ripple.effect(name)] if ripple else []
+        # where none is seen, one that needs a small part of the torque: with much less, the blocks
+        # of friction would be too stiff for the samples
+        least = _LIGHT * np.std(rows.torque) / max(np.std(rows.acceleration), 1e-300)
+        inertia = axis.inertia if axis.inertia_known else float(least)
         arm = with_axis(arm, j, inertia, axis.cosine, axis.sine)
         size = np.array([inertia, axis.gravity_torque, axis.gravity_torque, axis.constant])
-        chosen = np.flatnonzero([True, axis.has_gravity, axis.has_gravity, axis.constant != 0.0])
-        numbers.append(chosen)
-        units.append(np.maximum(_ERRORS * axis.error, _PART * np.abs(size))[chosen])
-        axes.append(axis)
-        constant[j] = axis.constant
-    effects = tuple(ripple.effect(joint) for joint, ripple in zip(
-        robot.joints, ripples, strict=True) if ripple)
-    return ArmFit(replace(robot, arm=arm, effects=robot.effects + effects), motors,
-                  tuple(numbers), tuple(units),
-                  constant, tuple(axis.friction for axis in axes),
-                  tuple(axis.share for axis in axes), tuple(ripples),
-                  np.array([axis.per_load for axis in axes]))
+        numbers = np.flatnonzero([True, axis.has_gravity, axis.has_gravity, axis.constant != 0.0])
+        joints.append(JointArm(motors[j], axis, ripple, numbers, np.maximum(
+            _ERRORS * axis.error, _PART * np.abs(size))[numbers]))
+    return ArmFit(replace(robot, arm=arm, effects=(*robot.effects, *effects)), tuple(joints))
 
 
 def _of_chain(recordings, robot, motors):
-    n, nothing = robot.n_joints, (np.zeros(0, dtype=int),) * robot.n_joints
     fit = fit_base_parameters(recordings, robot)
     rows = base_estimates(fit, robot.joints)
     for j, motor in enumerate(motors):
-        if motor is not None:
-            rows[j] += tuple(_motor_rows(motor, f'arm.{robot.joints[j]}', bool(
-                robot.arm.rigid[j])))
+        rows[j] = (*rows[j], *_motor_rows(motor, robot, j))
     if not fit.differences.prior_sd.any():
         rows[0] += (_SCALE,)
-    return ArmFit(replace(robot, arm=fit.arm), motors, nothing, (np.zeros(0),) * n,
-                  np.zeros(n), (None,) * n, (1.0,) * n, (None,) * n, np.zeros(n), tuple(rows),
+    return ArmFit(replace(robot, arm=fit.arm), tuple(map(JointArm, motors)), tuple(rows),
                   fit.differences if robot.arm.frames else None, fit.spread)
 
 
@@ -153,17 +155,6 @@ def with_motors(arm: ArmParams, motors: Sequence) -> ArmParams:
             if known:
                 values[name][j] = value
     return replace(arm, **values)
-
-
-def _inertia_to_use(axis, rows):
-    """
-    Return the inertia of an axis [kg m^2].
-
-    Where none is seen, one that needs a small part of the torque: with much less, the blocks of
-    friction would be too stiff for the samples.
-    """
-    least = _LIGHT * np.std(rows.torque) / max(np.std(rows.acceleration), 1e-300)
-    return axis.inertia if axis.inertia_known else float(least)
 
 
 def with_axis(arm: ArmParams, joint: int, inertia: float, cosine: float, sine: float) -> ArmParams:
@@ -205,7 +196,7 @@ def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence) -> RobotParams
     """Return the robot with corrections fitted along with friction, the last of ``thetas``."""
     arm, effects = robot.arm, []
     for j, theta in enumerate(thetas):
-        inertia, cosine, sine, constant = _axis_numbers(arm, arm_fit, j, theta)
+        inertia, cosine, sine, constant = _axis_numbers(arm, arm_fit.joints[j], j, theta)
         arm = with_axis(arm, j, max(inertia, 0.1 * axis_of(arm, j)[0]), cosine, sine)
         if constant:
             effects.append(EffectSpec(
@@ -214,44 +205,37 @@ def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence) -> RobotParams
     return replace(robot, arm=arm, effects=(*kept, *effects))
 
 
-def _axis_numbers(arm, arm_fit, joint, theta):
-    """Return inertia, cosine, sine and constant torque of an axis, corrected (4,)."""
-    values = np.append(axis_of(arm, joint), arm_fit.constant[joint])
-    units = arm_fit.units[joint]
-    values[arm_fit.numbers[joint]] += theta[len(theta) - len(units):] * units
+def _axis_numbers(arm, joint, j, theta):
+    """Return inertia, cosine, sine and constant torque of the j-th axis, corrected (4,)."""
+    values = np.append(axis_of(arm, j), joint.axis.constant)
+    values[joint.numbers] += theta[len(theta) - len(joint.units):] * joint.units
     return values
 
 
 def arm_estimates(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence,
                   spreads: Sequence) -> list[tuple]:
     """Return the Estimates of the arm, a tuple per joint, those of the whole with the first."""
-    rows = [[] for _ in thetas]
-    for j, (theta, spread) in enumerate(zip(thetas, spreads, strict=True)):
-        name = f'arm.{robot.joints[j]}'
-        rows[j] += _axis_rows(robot, arm_fit, j, theta, spread, name)
-        if arm_fit.motors[j] is not None:
-            rows[j] += _motor_rows(arm_fit.motors[j], name, bool(robot.arm.rigid[j]))
-    rows[0].append(_SCALE)
-    return [tuple(part) for part in rows]
+    rows = [(*_axis_rows(robot, joint, j, theta, spread), *_motor_rows(joint.motor, robot, j))
+            for j, (joint, theta, spread) in enumerate(zip(
+                arm_fit.joints, thetas, spreads, strict=True))]
+    return [(*rows[0], _SCALE), *rows[1:]]
 
 
-def _axis_rows(robot, arm_fit, joint, theta, spread, name):
-    scale, numbers = arm_fit.units[joint], arm_fit.numbers[joint]
-    if not len(numbers):
-        return []
+def _axis_rows(robot, joint, j, theta, spread):
+    name, scale, numbers = f'arm.{robot.joints[j]}', joint.units, joint.numbers
     at = len(spread.covariance) - len(scale)
-    values = _axis_numbers(robot.arm, arm_fit, joint, theta)[numbers]
+    values = _axis_numbers(robot.arm, joint, j, theta)[numbers]
     covariance = spread.covariance[at:, at:] * np.outer(scale, scale)
     error = np.sqrt(np.diag(covariance))
     rows = [_row(f'{name}.inertia', 'kg m^2', values[0], error[0],
                  'about the joint, centre of mass and motor included', _NEEDS_INERTIA)]
-    if arm_fit.shares[joint] < _SLIGHT:
+    if joint.axis.share < _SLIGHT:
         rows[0] = estimated(
             f'{name}.inertia', 'kg m^2', values[0], None, f'it takes '
-            f'{100 * max(arm_fit.shares[joint], 0.0):.2g} % of the torque in this motion, less '
+            f'{100 * max(joint.axis.share, 0.0):.2g} % of the torque in this motion, less '
             f'than what the model lacks may take: {_NEEDS_INERTIA}', known=False)
     if 3 in numbers:
-        rows.append(_row(f'effects.{robot.joints[joint]}.{CONSTANT}.bias', 'N m', -values[-1],
+        rows.append(_row(f'effects.{robot.joints[j]}.{CONSTANT}.bias', 'N m', -values[-1],
                          error[-1], 'friction would have to be several times '
                          'larger one way than the other without it', _NEEDS_CONSTANT))
     if 1 in numbers:
@@ -267,15 +251,15 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
         known = error < WIDE
         rows.append(estimated(f'{name}.offset', 'rad', angle, error,
                               '' if known else _NEEDS_GRAVITY, known))
-    ripple, of_ripple = arm_fit.ripples[joint], f'effects.{robot.joints[joint]}.{axis_fit.RIPPLE}'
+    ripple, of_ripple = joint.ripple, f'effects.{robot.joints[j]}.{axis_fit.RIPPLE}'
     if ripple:
         rows += [estimated(f'{of_ripple}.amplitude', 'N m', ripple.amplitude,
                            ripple.amplitude_error,
                            'taken off the torque before friction was fitted'),
                  estimated(f'{of_ripple}.order', '1', ripple.order, ripple.order_error,
                            'periods in 2 pi of the angle')]
-    if arm_fit.loaded[joint]:
-        rows.append(load_estimate(robot.joints[joint], arm_fit.loaded[joint], None))
+    if joint.axis.per_load:
+        rows.append(load_estimate(robot.joints[j], joint.axis.per_load, None))
     if 1 not in numbers and robot.arm.axes == 'rotary':
         rows.append(estimated(f'{name}.gravity_torque', 'N m', 0.0, None, 'no gravity is seen in '
                               'this motion: it does not lower the error on data held out', False))
@@ -287,16 +271,19 @@ def _row(name, unit, value, error, meaning, needs):
     return estimated(name, unit, value, error, meaning if known else needs, bool(known))
 
 
-def _motor_rows(motor, name, rigid):
+def _motor_rows(motor, robot, j):
     rows = []
+    if motor is None:
+        return rows
     for part, unit, value, error, known in zip(
             ('motor_inertia', 'stiffness', 'damping'), ('kg m^2', 'N m/rad', 'N m s/rad'),
             motor[:3], motor.error, motor.believed, strict=True):
-        if rigid and part == 'motor_inertia':
+        if robot.arm.rigid[j] and part == 'motor_inertia':
             continue
         note = '' if known else _NEEDS_MOTOR
         if not known and motor.skew >= axis_fit.SKEWED:
             note = ('most of the torsion goes with the velocity, as if the two encoders were read '
                     'at different times: that looks like a soft spring or damping and is neither')
-        rows.append(estimated(f'{name}.{part}', unit, value, error, note, bool(known)))
+        rows.append(estimated(f'arm.{robot.joints[j]}.{part}', unit, value, error, note,
+                              bool(known)))
     return rows

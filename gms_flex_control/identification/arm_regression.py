@@ -157,15 +157,13 @@ class ArmRegression:
 
     def _own(self, j, chosen):
         """Return the columns that are eliminated for a joint: friction, offsets, delay (S', F)."""
-        rows, columns = self._rows, []
-        recording = rows.recording[chosen]
+        rows, recording = self._rows, self._rows.recording[chosen]
         friction = rows.friction[chosen, j]
-        columns.append(friction)
-        for k in range(1, len(self._labels)):
-            # alike in both directions: an offset is another
-            columns.append(alike(friction) * (self._label[recording] == k)[:, None])
-        for r in range(1, len(self._at.zeros)):
-            columns.append((recording == r)[:, None].astype(float))
+        columns = [friction,
+                   *(alike(friction) * (self._label[recording] == k)[:, None]  # no offset
+                     for k in range(1, len(self._labels))),
+                   *((recording == r)[:, None].astype(float)
+                     for r in range(1, len(self._at.zeros)))]
         if self._loaded[j]:
             columns.append(self._load_column(j)[chosen, None])
         columns.append(rows.turning[chosen, j])  # at last: others are found by place
@@ -196,11 +194,6 @@ class ArmRegression:
         carried = np.einsum('sjk,sk->sj', rows.tip, self._at.loads[rows.recording])
         return (rows.known + rows.regressor @ self._at.links + carried + moved
                 + rows.coupled @ self._at.coupled)
-
-    @property
-    def scale(self) -> np.ndarray:
-        """Return what is recorded of a torque (n,)."""
-        return self._at.scale
 
     def solve(self) -> None:
         """Find parameters, zeros and scales; then once more where friction grows with load."""
@@ -255,7 +248,7 @@ class ArmRegression:
             share = max(0.5 * share, _LEAST_SHARE) if turned else min(1.5 * share, 1.0)
             before = self._last.step
             links, zeros, scales, loads, coupled = (
-                share * before[part] for part in layout.slices)
+                share * before[part] for part in layout[:5])
             at.links = at.links + links
             at.zeros[1:] += zeros.reshape(at.zeros[1:].shape)
             at.scale[layout.free] *= np.exp(np.clip(scales, -1.0, 1.0))

@@ -219,7 +219,11 @@ def described_scales(rows: Rows, described: np.ndarray, own: Callable, unknown: 
     hardly loads is taken to have a scale like the others'. IdentificationError, of the torque with
     its name of ``names`` (n,), where one goes against its links or none shows what they require.
     """
-    found, error = np.array([_scale_of(rows, described, own, j) for j in unknown]).T
+    found, error = np.empty((2, len(unknown)))  # a recorded torque per N m of its links
+    for k, j in enumerate(unknown):
+        columns = np.concatenate([described[:, j:j + 1], rows.acceleration[:, j:j + 1],
+                                  own(j, slice(None))], axis=1)
+        (found[k], *_), (error[k], *_) = solution(columns, rows.torque[:, j], rows.block)
     against = np.flatnonzero(found < -_SURE * error)
     if len(against):
         first = against[0]
@@ -238,11 +242,3 @@ def described_scales(rows: Rows, described: np.ndarray, own: Callable, unknown: 
     total = precision + _ALIKE_SD ** -2
     shrunk = (precision * np.where(seen, logs, mean) + mean * _ALIKE_SD ** -2) / total
     return np.exp(shrunk), 1.0 / np.sqrt(total)
-
-
-def _scale_of(rows, described, own, j):
-    """Return a recorded torque per N m of its links, and its standard error."""
-    columns = np.concatenate([described[:, j:j + 1], rows.acceleration[:, j:j + 1],
-                              own(j, slice(None))], axis=1)
-    values, errors = solution(columns, rows.torque[:, j], rows.block)
-    return values[0], errors[0]

@@ -116,8 +116,7 @@ def _within_belief(recordings, robot, known):
     fit = _WithinBelief(recordings, robot, sides, arm, base, spring_sd=sd * springs,
                         friction=friction if known else None)
     fit.solve()
-    found = replace(fit.nearest[0], stiffness=np.where(springs, stiffness / fit.scale, stiffness))
-    return Believed(found if fit.is_shown() else robot.arm, fit.delays())
+    return fit.believed()
 
 
 def _stiffnesses(recordings, robot, springs):
@@ -167,18 +166,21 @@ class _WithinBelief(ArmRegression):
             precision[part] *= self._memory
         return precision
 
-    def is_shown(self) -> bool:
-        """Return whether some joint's torque is explained far better than as described."""
-        found = self._at
+    def believed(self) -> Believed:
+        """Return the arm as described, unless some torque is explained far better by another."""
+        arm, at, springs = self._robot.arm, self._at, np.array(self._sides) == 'spring'
+        found = replace(self.nearest[0], stiffness=np.where(
+            springs, arm.stiffness / at.scale, arm.stiffness))
         beside = self._unexplained()
-        self._at = replace(found, links=self._links, scale=np.ones(len(found.scale)))
-        described, self._at = self._unexplained(), found
-        return bool(np.any(beside < _SHOWN * described))
+        self._at = replace(at, links=self._links, scale=np.ones(len(at.scale)))
+        described, self._at = self._unexplained(), at
+        return Believed(found if np.any(beside < _SHOWN * described) else arm,
+                        self._delays(~springs))
 
-    def delays(self) -> np.ndarray:
+    def _delays(self, by_motors):
         """Return how much later than stamped torques of motors act (n,) [s], 0 unless shown."""
-        late = np.zeros(len(self._sides))
-        for j in np.flatnonzero(np.array(self._sides) == 'motor'):
+        late = np.zeros(len(by_motors))
+        for j in np.flatnonzero(by_motors):
             values, left = self._coefficients(j)
             in_time = self._coefficients(j, slice(-1))[1]  # without the delay of the torque
             if rms(left) < _SHOWN * rms(in_time):

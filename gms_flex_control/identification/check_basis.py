@@ -2,6 +2,7 @@
 """What the checks of a recording share: findings, and filtered motion against its torque."""
 
 from collections.abc import Iterator
+from functools import cached_property
 from typing import NamedTuple
 
 from gms_flex_control.data import signal_analysis as analysis
@@ -85,23 +86,51 @@ def filtered(signals: Recording, robot: RobotParams) -> Motion:
     return result
 
 
-def total_torque(motion: Motion, robot: RobotParams) -> np.ndarray:
-    """Return the frictionless torque (S, n) at the motors, ``M(q) ddq + C dq + g`` and theirs."""
-    inertia = np.where(robot.arm.rigid, 0.0, robot.arm.motor_inertia)
-    motor = np.where(np.isfinite(motion.ddq_motor), motion.ddq_motor, motion.ddq_link)
-    return inverse_dynamics(*motion[:3], robot.arm) + inertia * motor
+class Balance:
+    """Joints of a recording against the equations of motion of a robot; rows S are filtered."""
 
+    def __init__(self, signals: Recording, robot: RobotParams):
+        self.source, self.joints, self.arm = signals.source, signals.joints, robot.arm
+        self.motion = filtered(signals, robot)
 
-def spring_joints(robot: RobotParams, motion: Motion) -> list[int]:
-    """Return the numbers of the joints whose deflection is recorded."""
-    return [j for j in range(robot.n_joints)
-            if not robot.arm.rigid[j] and np.isfinite(motion.q_motor[:, j]).all()]
+    @cached_property
+    def springs(self) -> list[int]:
+        """Return the numbers of the joints whose deflection is recorded."""
+        return [j for j in range(len(self.joints))
+                if not self.arm.rigid[j] and np.isfinite(self.motion.q_motor[:, j]).all()]
 
+    @cached_property
+    def driven(self) -> list[int]:
+        """Return the numbers of the joints whose torque is recorded and can be judged."""
+        tau, moved = self.motion.tau, self.motion.moved
+        return [j for j in range(len(self.joints)) if np.isfinite(tau[:, j]).all()
+                and np.ptp(tau[:, j]) > 0 and moved[j]]
 
-def torque_joints(robot: RobotParams, motion: Motion) -> list[int]:
-    """Return the numbers of the joints whose torque is recorded and can be judged."""
-    return [j for j in range(robot.n_joints) if np.isfinite(motion.tau[:, j]).all()
-            and np.ptp(motion.tau[:, j]) > 0 and motion.moved[j]]
+    @cached_property
+    def _total(self):
+        """Return the frictionless torque (S, n) at the motors, ``M(q) ddq + C dq + g`` and own."""
+        motion, inertia = self.motion, np.where(self.arm.rigid, 0.0, self.arm.motor_inertia)
+        motor = np.where(np.isfinite(motion.ddq_motor), motion.ddq_motor, motion.ddq_link)
+        return inverse_dynamics(*motion[:3], self.arm) + inertia * motor
+
+    def torsion(self, j: int) -> np.ndarray:
+        """Return the deflection of a joint's spring (S,) [rad]."""
+        return self.motion.q_motor[:, j] - self.motion.q_link[:, j]
+
+    def spring_share(self, tau, j: int) -> float:
+        """Return what a joint's spring and motor explain of the variance of a torque (S,)."""
+        return spring_fit(tau, self.motion.ddq_motor[:, j], self.torsion(j))[0]
+
+    def fits(self, tau, j: int) -> tuple[analysis.Fit, analysis.Fit] | None:
+        """Return fits of a torque (S,) by bodies and friction, gravity fixed and free, or None."""
+        rate = self.motion.dq_link[:, j]
+        rows = analysis.is_moving(rate)
+        if rows.sum() < limits.FEWEST_ROWS:
+            return None
+        angle, constant = self.motion.q_link[rows, j], np.ones(int(rows.sum()))
+        columns = [self._total[rows, j], *analysis.friction_columns(rate[rows])]
+        return (analysis.sign_fit(tau[rows], columns, [constant]),
+                analysis.sign_fit(tau[rows], columns, [constant, np.sin(angle), np.cos(angle)]))
 
 
 def spring_fit(tau, acceleration, torsion) -> tuple[float, float]:
@@ -110,16 +139,3 @@ def spring_fit(tau, acceleration, torsion) -> tuple[float, float]:
     both = analysis.sign_fit(tau, [acceleration, torsion], free).as_is
     alone = analysis.sign_fit(tau, [acceleration], free).as_is
     return both, (both - alone) / max(1.0 - alone, 1e-12)
-
-
-def balance_fit(motion: Motion, tau, total, j: int) -> tuple[analysis.Fit, analysis.Fit] | None:
-    """Return fits of a torque (S,) by bodies and friction, gravity fixed and free, or None."""
-    rows = analysis.is_moving(motion.dq_link[:, j])
-    if rows.sum() < limits.FEWEST_ROWS:
-        return None
-    angle = motion.q_link[rows, j]
-    columns = [total[rows, j], *analysis.friction_columns(motion.dq_link[rows, j])]
-    constant = np.ones(int(rows.sum()))
-    known = analysis.sign_fit(tau[rows], columns, [constant])
-    loose = analysis.sign_fit(tau[rows], columns, [constant, np.sin(angle), np.cos(angle)])
-    return known, loose

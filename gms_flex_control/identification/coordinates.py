@@ -35,31 +35,19 @@ class Coordinates:
 
     ``n_blocks`` up to MOST_BLOCKS; ``yields`` (n_blocks,) are fixed yield displacements [rad],
     by default they are fitted; without ``free_weights`` each weight is 1/N, as in the paper;
-    ``n_extra`` further linear coefficients.
+    ``n_extra`` further linear coefficients. The attribute ``size`` is how many numbers there are,
+    ``yields`` where the logarithms of the yields stand, a slice, empty where fixed.
     """
 
     def __init__(self, n_blocks: int, *, yields=None, free_weights=False, n_extra=0):
         self.n_blocks, self.n_extra = n_blocks, n_extra
         self._fixed = None if yields is None else np.asarray(yields, dtype=float)
-        self._yields = slice(N_STEADY, N_STEADY + (n_blocks if yields is None else 0))
-        self._weights = slice(self._yields.stop,
-                              self._yields.stop + (n_blocks - 1 if free_weights else 0))
-        self._extra = slice(self._weights.stop, self._weights.stop + n_extra)
-
-    @property
-    def size(self) -> int:
-        """Return how many numbers there are."""
-        return self._extra.stop
-
-    @property
-    def yields(self) -> slice:
-        """Return where the logarithms of the yields stand, a slice; empty where fixed."""
-        return self._yields
-
-    @property
-    def free_weights(self) -> bool:
-        """Return whether the weights are fitted."""
-        return self._weights.stop > self._weights.start
+        self.free_weights = free_weights and n_blocks > 1
+        self.yields = slice(N_STEADY, N_STEADY + (n_blocks if yields is None else 0))
+        self._weights = slice(self.yields.stop,
+                              self.yields.stop + (n_blocks - 1 if free_weights else 0))
+        self.size = self._weights.stop + n_extra
+        self._extra = slice(self._weights.stop, self.size)
 
     def pack(self, static, coulomb, velocity, viscous, attraction, yields, weights=None,
              extra=()) -> np.ndarray:
@@ -70,7 +58,7 @@ class Coordinates:
             free[of_direction(k)] = np.log([coulomb[k], drop[k], velocity[k], viscous[k]])
         free[N_STEADY - 1] = np.log(attraction)
         if self._fixed is None:
-            free[self._yields] = np.log(yields)
+            free[self.yields] = np.log(yields)
         if self.free_weights:
             weights = np.full(self.n_blocks, 1.0) if weights is None else np.asarray(weights)
             free[self._weights] = np.log(weights[:-1] / weights[-1])
@@ -110,14 +98,14 @@ class Coordinates:
             alpha = np.exp(odds - odds.max())
             alpha /= alpha.sum()
             d_alpha = (np.diag(alpha) - np.outer(alpha, alpha))[:, :-1]
-        yields = np.exp(free[self._yields]) if self._fixed is None else self._fixed
+        yields = np.exp(free[self.yields]) if self._fixed is None else self._fixed
         static, d_static = theta[STATICS].mean(), directions[STATICS].mean(axis=0)
         theta[weight], theta[stiffness] = alpha, alpha * static / yields
         directions[weight, self._weights] = d_alpha
         directions[stiffness] = np.outer(alpha / yields, d_static)
         directions[stiffness, self._weights] += d_alpha * (static / yields)[:, None]
         if self._fixed is None:
-            directions[stiffness, self._yields] -= np.diag(theta[stiffness])
+            directions[stiffness, self.yields] -= np.diag(theta[stiffness])
 
 
 def of_direction(way: int) -> slice:

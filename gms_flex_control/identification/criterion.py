@@ -146,8 +146,10 @@ class _Criteria:
                         for one in (fitted, self.simple))
         if not penalty * np.nanmax(_errors(found) / _errors(least)) < _WORTH:
             return False
-        return looks[0].out is not everything or _is_beyond_chance(
-            least[0].torque - penalty ** 2 * found[0].torque)
+        # less torque is missed than blocks differ by; free runs do not say so
+        less = least[0].torque - penalty ** 2 * found[0].torque
+        return looks[0].out is not everything or len(less) > 1 and np.mean(
+            less) > CONFIDENT * np.std(less, ddof=1) / np.sqrt(len(less))
 
     def clearly_better(self) -> bool:
         """Return whether the fit of the torque is far better there, and little worse freely."""
@@ -254,11 +256,6 @@ def _belief(coordinates, free):
     for at in (0, PER_DIRECTION):
         prior.precision[at] = _LEVEL_SD ** -2
     return prior
-
-
-def _is_beyond_chance(less):
-    """Return whether less torque is missed (B,) than blocks differ by; free runs do not say so."""
-    return len(less) > 1 and np.mean(less) > CONFIDENT * np.std(less, ddof=1) / np.sqrt(len(less))
 
 
 def _errors(squares):

@@ -115,7 +115,6 @@ def _fit_stribeck(velocity, torque):
     slow = max(float(np.quantile(velocity, 0.1)), 1e-9)
     if len(velocity) < _FEWEST:
         return Stribeck(1.02 * level, level, slow, 1e-3 * level / top)
-    scale = np.array([level, level, 1.0, level / top])
     noise = max(1.5 * float(np.median(np.abs(torque - np.median(torque)))), 1e-3 * level)
 
     def residual(x):
@@ -124,16 +123,13 @@ def _fit_stribeck(velocity, torque):
         decay = np.exp(-np.minimum((velocity / np.exp(x[2])) ** 2, 50.0))
         return coulomb + drop * decay + viscous * velocity - torque
 
-    best = None
-    for start in np.geomspace(slow, top, 4):
-        fit = least_squares(
-            residual, [0.9, 0.1, np.log(start), 0.1], loss='soft_l1', f_scale=0.3 * noise,
-            bounds=([1e-3, 1e-4, np.log(0.3 * slow), 0.0], [3.0, 1.0, np.log(top), 3.0]))
-        if best is None or fit.cost < best.cost:
-            best = fit
-    coulomb = best.x[0] * scale[0]
-    drop = best.x[1] * coulomb
-    return Stribeck(coulomb + drop, coulomb, float(np.exp(best.x[2])), best.x[3] * scale[3])
+    best = min((least_squares(
+        residual, [0.9, 0.1, np.log(start), 0.1], loss='soft_l1', f_scale=0.3 * noise,
+        bounds=([1e-3, 1e-4, np.log(0.3 * slow), 0.0], [3.0, 1.0, np.log(top), 3.0]))
+        for start in np.geomspace(slow, top, 4)), key=lambda fit: fit.cost)
+    coulomb = best.x[0] * level
+    return Stribeck(coulomb + best.x[1] * coulomb, coulomb, float(np.exp(best.x[2])),
+                    best.x[3] * (level / top))
 
 
 def _straight(velocity, torque):

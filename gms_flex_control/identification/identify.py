@@ -175,7 +175,10 @@ class Data:
             robot = replace(robot, arm=beside.arm)
             recordings = [beside.in_time(one) for one in recordings]
         self._arm = robot.arm
-        self.differences = _differences(recordings[:len(given)], robot, self.arm_fit)
+        self.differences = None  # of an arm in space alone
+        if robot.arm.frames is not None:
+            self.differences = self.arm_fit.differences if whole else fit_differences(
+                recordings[:len(given)], robot)
         self.robot = rigid_where(robot, self.sides)
         parts = [segments_of(recording, robot, self.sides, phases, period) for recording,
                  (_, phases) in zip(recordings, (*given, *holdouts), strict=True)]
@@ -207,7 +210,7 @@ class Data:
         arm, half, self.step = self.robot.arm, half[self.fitted], self._steps[self.fitted]
         self.starts = [start_of(self.maps[k], travel(segments, k), self.step[k],
                                 robot.joints[j], recordings[0].source,
-                                self.arm_fit.friction[j] if whole else None)
+                                self.arm_fit.joints[j].friction if whole else None)
                        for k, j in enumerate(self.fitted)]
         coulomb = np.array([start.forward.coulomb for start in self.starts])
         extras = self.arm_fit.extras() if whole else (None,) * robot.n_joints
@@ -267,7 +270,7 @@ class Data:
 
     def search(self, options, say) -> list:
         """Return the JointFit per joint that predicts motion best."""
-        extras = [np.zeros(len(self.arm_fit.units[j]) if self.arm_fit else 0)
+        extras = [np.zeros(len(self.arm_fit.joints[j].units) if self.arm_fit else 0)
                   for j in self.fitted]
         return fit_all(self.bundle, self.starts, extras, self.step, blocks=options.blocks,
                        say=say)
@@ -321,13 +324,11 @@ class Data:
             traces=prediction_error.traces_of(objective, theta, held_out(bundle.period)),
             candidates=tuple(one._replace(chosen=one.n_blocks == fit.coordinates.n_blocks)
                              for one in fit.candidates),
-            held_out=self._errors(objective, fit), warnings=self._sentences(objective, fit))
-
-    def _sentences(self, objective, fit):
-        coupled = prediction_error.coupling_sentences(
-            objective, fit.theta, self.robot.joints, held_out(self.bundle.period), self._apart,
-            self.described.arm.frames is not None)
-        return (*self.choices[objective.joint].sentences, *few_blocks(fit), *coupled)
+            held_out=self._errors(objective, fit),
+            warnings=(*self.choices[joint].sentences, *few_blocks(fit),
+                      *prediction_error.coupling_sentences(
+                          objective, theta, self.robot.joints, held_out(bundle.period),
+                          self._apart, self.described.arm.frames is not None)))
 
     def _errors(self, objective, fit):
         joint, bundle, judged = objective.joint, self.bundle, objective
@@ -339,13 +340,6 @@ class Data:
         return prediction_error.held_out_errors(
             judged, theta, simple, chosen, self.step[joint], repeatability(
                 bundle.segments, self.robot.arm, joint, bundle.period, bundle.half[joint]))
-
-
-def _differences(recordings, robot, arm_fit):
-    """Return the Differences of recordings of an arm in space, None of others."""
-    if robot.arm.frames is None:
-        return None
-    return arm_fit.differences if arm_fit else fit_differences(recordings, robot)
 
 
 def _per_joint(task, *given):

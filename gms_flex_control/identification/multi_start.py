@@ -284,8 +284,6 @@ def _cost_above(end, floor, prior):
 
 def _in_order(coordinates, free):
     """Return free numbers with blocks of equal weight from stiff to soft."""
-    if coordinates.free_weights:
-        return free
     ordered = free.copy()
     ordered[coordinates.yields] = np.sort(free[coordinates.yields])
     return ordered

@@ -204,7 +204,8 @@ class Objective:
         return (*(np.ascontiguousarray(part[..., self._moved]) for part in (
             segment.angle, segment.rate[0], segment.torque)), extra,
             theta[len(theta) - extra.shape[1]:], self.bundle.period, self._links,
-            self._friction(theta))
+            friction_record([theta if k == self.joint else self.thetas[k]
+                             for k in self._moved]))
 
     def _observer(self, sharpness=1.0):
         """Return gains of rate and angle (2, n), so many times as fast if samples allow."""
@@ -217,11 +218,6 @@ class Objective:
         make = self.bundle.extras[self.joint]
         return (np.zeros((len(segment.angle), 0)) if make is None else
                 np.ascontiguousarray(make(segment)))
-
-    def _friction(self, theta):
-        """Return the constants of all joints that move, ``theta`` those of this one."""
-        return friction_record([theta if k == self.joint else self.thetas[k]
-                                for k in self._moved])
 
     def counted(self, segment) -> np.ndarray:
         """Return which samples count, bool (T,)."""

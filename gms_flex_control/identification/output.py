@@ -77,8 +77,11 @@ def friction_values(identification: outcome.Identification) -> dict:
                 part in ('arm', 'effects') and value != believed.get(name)
                 and not (name.endswith('.stiffness') and math.isinf(value))):
             values[name] = value
-    for joint in identification.robot.joints:
-        _drop_empty_blocks(values, f'friction.{joint}.')
+    for prefix in (f'friction.{joint}.' for joint in identification.robot.joints):
+        # blocks at the end that carry nothing are left out
+        count = 1 + max(i for i, weight in enumerate(values[f'{prefix}weight']) if weight > 0.0)
+        for name in ('stiffness', 'weight'):
+            values[prefix + name] = values[prefix + name][:count]
     return values | uncertainty_values(identification)
 
 
@@ -151,13 +154,6 @@ def _is_as_described(identification, kind, j):
     own, described = (getattr(one.arm, kind, None) for one in (
         identification.robot, identification.believed))
     return identification.described and kind in _BY_JOINT and own[j] == described[j]
-
-
-def _drop_empty_blocks(values, prefix):
-    """Leave out the blocks at the end that carry nothing."""
-    count = 1 + max(i for i, weight in enumerate(values[f'{prefix}weight']) if weight > 0.0)
-    for name in ('stiffness', 'weight'):
-        values[prefix + name] = values[prefix + name][:count]
 
 
 def write_friction(identification: outcome.Identification, path) -> None:

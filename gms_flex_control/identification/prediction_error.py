@@ -73,16 +73,15 @@ def simple_free(fit: np.ndarray, displacement: float) -> tuple[Coordinates, np.n
 def free_run_error(objective: Objective, theta: np.ndarray, chosen: Callable) -> float:
     """Return the rms error of free simulations of HORIZON of chosen samples [rad]; NaN if none."""
     period, joint = objective.bundle.period, objective.joint
-    horizon, first = round(HORIZON / period), round(_STRIDE / period)
-    stride, total, count = first, 0.0, 0
+    horizon, stride, total, count = round(HORIZON / period), round(_STRIDE / period), 0.0, 0
     for segment in objective.bundle.segments:
-        starts = max((len(segment.angle) - 1 - horizon - first) // stride + 1, 0)
+        starts = max((len(segment.angle) - 1 - horizon - stride) // stride + 1, 0)
         keep = chosen(segment) & segment.tested[:, joint]
         if not starts or not keep.any():
             continue
-        predicted = objective.simulate_freely(segment, theta, first, stride, horizon, starts)
+        predicted = objective.simulate_freely(segment, theta, stride, stride, horizon, starts)
         for start in range(starts):
-            rows = slice(first + start * stride, first + start * stride + horizon)
+            rows = slice((start + 1) * stride, (start + 1) * stride + horizon)
             measured = segment.angle[rows, joint]
             known = np.isfinite(measured) & keep[rows]
             if known.all():

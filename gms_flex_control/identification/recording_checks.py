@@ -36,16 +36,7 @@ from gms_flex_control.data.signal_analysis import friction_columns, is_moving, q
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification import check_limits as limits
 from gms_flex_control.identification import sampling_checks
-from gms_flex_control.identification.check_basis import (
-    absent_joints,
-    balance_fit,
-    filtered,
-    Finding,
-    spring_fit,
-    spring_joints,
-    torque_joints,
-    total_torque,
-)
+from gms_flex_control.identification.check_basis import absent_joints, Balance, Finding, spring_fit
 from gms_flex_control.params.arm import carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -106,43 +97,42 @@ def physics(signals: Recording, robot: RobotParams, rough: bool) -> list[Finding
     Without a torque only the angles are compared. ``rough``: inertia and stiffness are mere
     placeholders; a factor is a warning only. One fault at a time, since each hides the next.
     """
-    motion = filtered(signals, robot)
-    if len(motion.tau) < limits.FEWEST_ROWS:
+    balance = Balance(signals, robot)
+    if len(balance.motion.tau) < limits.FEWEST_ROWS:
         return []
-    return (_side_scales(signals, robot, motion) or _exchanged_torques(signals, robot, motion)
-            or _directions(signals, robot, motion) or _scales(signals, robot, motion, rough)
-            or _unexplained(signals, robot, motion))
+    return (_side_scales(balance) or _exchanged_torques(balance) or _directions(balance)
+            or _scales(balance, rough) or _unexplained(balance))
 
 
-def _directions(signals, robot, motion):
+def _directions(balance):
     """Find reversed torques and exchanged sides."""
-    total, springs = total_torque(motion, robot), spring_joints(robot, motion)
     found = []
-    for j in torque_joints(robot, motion):
-        balance = _balance_sign(motion, motion.tau[:, j], total, j)
-        spring = _spring_sign(motion, j) if j in springs else 0
-        name = signals.joints[j]
-        if spring < 0 and balance >= 0:
-            proviso = '' if balance > 0 else ', unless the sign of its torque is reversed'
+    for j in balance.driven:
+        driven = _balance_sign(balance, j)
+        spring = _spring_sign(balance, j) if j in balance.springs else 0
+        name = balance.joints[j]
+        if spring < 0 and driven >= 0:
+            proviso = '' if driven > 0 else ', unless the sign of its torque is reversed'
             found.append(Finding(
-                'swapped_sides', name, 'refuse', f'{signals.source}: motor and link of {name} '
+                'swapped_sides', name, 'refuse', f'{balance.source}: motor and link of {name} '
                 'seem exchanged: its torque fits the spring between them only the other way '
                 f'round{proviso}; exchange the two names'))
-        elif balance < 0:
+        elif driven < 0:
             also = ', and its motor and link are exchanged' if spring > 0 else ''
-            gravity = ', or the gravity of the robot file' if robot.arm.gravity.any() else ''
+            gravity = ', or the gravity of the robot file' if balance.arm.gravity.any() else ''
             braked = ('. A joint that others move while its drive brakes looks alike: then go on '
-                      'with --force' if robot.n_joints > 1 else '')
+                      'with --force' if len(balance.joints) > 1 else '')
             found.append(Finding(
-                'torque_sign', name, 'refuse', f'{signals.source}: the torque of {name} has the '
+                'torque_sign', name, 'refuse', f'{balance.source}: the torque of {name} has the '
                 'wrong sign: only reversed does it accelerate the joint and overcome '
                 f'friction{also}; reverse it, or the angles{gravity}{braked}'))
     return found
 
 
-def _balance_sign(motion, tau, total, j):
-    """Return 1 or -1 if a torque drives joint j forward or backward, 0 if that is open."""
-    fits = balance_fit(motion, tau, total, j)
+def _balance_sign(balance, j):
+    """Return 1 or -1 if the torque drives joint j forward or backward, 0 if that is open."""
+    tau = balance.motion.tau[:, j]
+    fits = balance.fits(tau, j)
     if fits is None:
         return 0
     known, loose = fits
@@ -150,19 +140,15 @@ def _balance_sign(motion, tau, total, j):
         return 1
     clear = known.opposite > limits.CLEAR and known.opposite > known.as_is + limits.APART
     # a joint that is not driven by its torque takes no work from it in the end
-    driven = _work(tau, motion.dq_link[:, j]) > limits.CLEAR
+    power = tau * balance.motion.dq_link[:, j]  # friction takes work
+    driven = np.sum(power) / max(np.sum(np.abs(power)), 1e-300) > limits.CLEAR
     return -1 if clear and not driven and loose.as_is < max(loose.opposite, 0.5) else 0
 
 
-def _work(tau, velocity):
-    """Return the work of a torque (S,) over that of its size, -1 to 1: friction takes work."""
-    power = tau * velocity
-    return float(np.sum(power) / max(np.sum(np.abs(power)), 1e-300))
-
-
-def _spring_sign(motion, j):
+def _spring_sign(balance, j):
     """Return 1 or -1 if the torque of joint j fits its spring as it is or with sides exchanged."""
-    tau, torsion = motion.tau[:, j], motion.q_motor[:, j] - motion.q_link[:, j]
+    motion, torsion = balance.motion, balance.torsion(j)
+    tau = motion.tau[:, j]
     explained, gain = spring_fit(tau, motion.ddq_motor[:, j], torsion)
     explained_other, gain_other = spring_fit(tau, motion.ddq_link[:, j], -torsion)
     if explained > limits.CLEAR and gain > limits.CLEAR and gain_other < 0.1:
@@ -172,26 +158,21 @@ def _spring_sign(motion, j):
     return 0
 
 
-def _scales(signals, robot, motion, rough):
+def _scales(balance, rough):
     """Find torques off by a factor."""
-    total, springs = total_torque(motion, robot), spring_joints(robot, motion)
-    found = []
-    for j in torque_joints(robot, motion):
-        if j in springs:
-            found += _spring_scale(signals, robot, motion, j)
-        else:
-            found += _inertia_scale(signals, motion, total, j)
+    found = [finding for j in balance.driven for finding in (
+        _spring_scale if j in balance.springs else _inertia_scale)(balance, j)]
     return [finding._replace(severity='warn') for finding in found] if rough else found
 
 
-def _spring_scale(signals, robot, motion, j):
+def _spring_scale(balance, j):
     """Compare torque over deflection with the stiffness; an encoder delay must not decide it."""
+    motion, name, torsion = balance.motion, balance.joints[j], balance.torsion(j)
     tau, one = motion.tau[:, j], np.ones(len(motion.tau))
-    stiffness = robot.arm.stiffness[j]
-    torsion = motion.q_motor[:, j] - motion.q_link[:, j]
+    stiffness = balance.arm.stiffness[j]
     ratios, limit = [], limits.SCALE_STIFFNESS
     rest = np.stack([torsion, motion.dq_link[:, j]])
-    exact = spring_fit(tau, motion.ddq_motor[:, j], torsion)[0] > limits.EXACT
+    exact = balance.spring_share(tau, j) > limits.EXACT
     if not exact and rest[1].any() and np.corrcoef(rest)[0, 1] ** 2 > 0.1:
         limit *= 3.0  # read late, one encoder adds a part of the velocity to the torsion
     for others in [[motion.ddq_motor[:, j]]] if exact else (
@@ -205,8 +186,8 @@ def _spring_scale(signals, robot, motion, j):
     if _fits_where_small(tau, motion.ddq_motor[:, j], torsion, stiffness):
         return  # drives that give but a part of what is asked of them
     middle = float(np.median(ratios))
-    yield Finding('torque_scale', signals.joints[j], 'refuse', f'{signals.source}: the torque '
-                  f'of {signals.joints[j]} is {middle:.3g} times what its torsion and a stiffness '
+    yield Finding('torque_scale', name, 'refuse', f'{balance.source}: the torque '
+                  f'of {name} is {middle:.3g} times what its torsion and a stiffness '
                   f'of {stiffness:.4g} N m/rad make; give the torque in N m at the joint (unit, '
                   'gear ratio, torque constant), or correct the stiffness')
 
@@ -222,9 +203,10 @@ def _fits_where_small(tau, ddq_motor, torsion, stiffness):
     return fit.as_is > limits.EXACT and 1 / limits.SCALE_STIFFNESS < ratio < limits.SCALE_STIFFNESS
 
 
-def _inertia_scale(signals, motion, total, j):
+def _inertia_scale(balance, j):
     """Compare torque with what the robot's inertia and gravity need."""
-    fits = balance_fit(motion, motion.tau[:, j], total, j)
+    motion, name = balance.motion, balance.joints[j]
+    fits = balance.fits(motion.tau[:, j], j)
     if fits is None:
         return
     rows = is_moving(motion.dq_link[:, j])
@@ -237,73 +219,69 @@ def _inertia_scale(signals, motion, total, j):
     factor = max(ratio, 1.0 / ratio) if ratio > 0.0 else np.inf
     refused = limits.SCALE_SLIGHT if friction > limits.NEARLY_ALL else limits.SCALE_INERTIA[1]
     if factor > limits.SCALE_INERTIA[0]:
-        yield Finding('torque_scale', signals.joints[j],
-                      'refuse' if factor > refused else 'warn',
-                      f'{signals.source}: the torque of {signals.joints[j]} is {ratio:.3g} '
+        yield Finding('torque_scale', name, 'refuse' if factor > refused else 'warn',
+                      f'{balance.source}: the torque of {name} is {ratio:.3g} '
                       "times what the robot's inertia and gravity need; give the torque in N m "
                       'at the joint (unit, gear ratio, torque constant), or correct the inertia')
 
 
-def _unexplained(signals, robot, motion):
+def _unexplained(balance):
     """Find torques that have nothing to do with the motion."""
-    total, springs, found = total_torque(motion, robot), spring_joints(robot, motion), []
-    for j in torque_joints(robot, motion):
-        fits = balance_fit(motion, motion.tau[:, j], total, j)
-        shares = [fit.as_is for fit in fits or ()]
-        if j in springs:
-            torsion = motion.q_motor[:, j] - motion.q_link[:, j]
-            shares.append(spring_fit(motion.tau[:, j], motion.ddq_motor[:, j], torsion)[0])
+    found = []
+    for j in balance.driven:
+        tau, name = balance.motion.tau[:, j], balance.joints[j]
+        shares = [fit.as_is for fit in balance.fits(tau, j) or ()]
+        if j in balance.springs:
+            shares.append(balance.spring_share(tau, j))
         if shares and max(shares) < limits.UNEXPLAINED:
             found.append(Finding(
-                'unexplained', signals.joints[j], 'warn', f'{signals.source}: inertia, gravity, '
+                'unexplained', name, 'warn', f'{balance.source}: inertia, gravity, '
                 f'spring and friction explain {100 * max(shares):.0f} % of the torque of '
-                f'{signals.joints[j]}; is it the torque of this joint, at the time of its '
+                f'{name}; is it the torque of this joint, at the time of its '
                 'angles, and is the robot file right?'))
     return found
 
 
-def _side_scales(signals, robot, motion):
+def _side_scales(balance):
     """Find a motor angle with another sign or scale than the link's, far beyond any deflection."""
-    found = []
-    for j in spring_joints(robot, motion):
+    found, motion = [], balance.motion
+    for j in balance.springs:
         x, y = (side[:, j] - side[:, j].mean() for side in (motion.q_link, motion.q_motor))
         if not (x.any() and y.any()):
             continue
         slope, fit = x @ y / (x @ x), x @ y / np.sqrt((x @ x) * (y @ y))
-        torsion = robot.arm.stiffness[j] * np.std(y - x)
+        torsion = balance.arm.stiffness[j] * np.std(y - x)
         tau = motion.tau[:, j]
         torn = torsion > limits.SIDE_FACTOR * np.std(tau) if np.isfinite(tau).all() else abs(
             np.log(abs(slope) + 1e-12)) > np.log(5.0)
         low, high = limits.SIDE_SLOPE
         if abs(fit) > limits.SIDE_FIT and not low < slope < high and (torn or slope < 0.0):
             found.append(Finding(
-                'side_scale', signals.joints[j], 'refuse', f'{signals.source}: the motor of '
-                f'{signals.joints[j]} moves {slope:.4g} times as far as its link; give motor '
+                'side_scale', balance.joints[j], 'refuse', f'{balance.source}: the motor of '
+                f'{balance.joints[j]} moves {slope:.4g} times as far as its link; give motor '
                 'angles as seen at the joint (divide by the gear ratio, correct the sign)'))
     return found
 
 
-def _exchanged_torques(signals, robot, motion):
+def _exchanged_torques(balance):
     """Find two joints each of whose torque fits the other's motion far better."""
-    total, found = total_torque(motion, robot), []
-    springs = spring_joints(robot, motion)
+    found = []
 
     def explained(torque, j):
-        tau = motion.tau[:, torque]
-        if j in springs:
-            return spring_fit(tau, motion.ddq_motor[:, j],
-                              motion.q_motor[:, j] - motion.q_link[:, j])[0]
-        fits = balance_fit(motion, tau, total, j)
+        tau = balance.motion.tau[:, torque]
+        if j in balance.springs:
+            return balance.spring_share(tau, j)
+        fits = balance.fits(tau, j)
         return fits[0].as_is if fits else 0.0
 
-    for i, j in combinations(torque_joints(robot, motion), 2):
+    for i, j in combinations(balance.driven, 2):
         crossed = [1 - explained(i, j), 1 - explained(j, i)]
         straight = [1 - explained(i, i), 1 - explained(j, j)]
         if max(crossed) < 0.3 and sum(crossed) < 0.25 * sum(straight) and all(
                 a < b for a, b in zip(crossed, straight, strict=True)):
-            first, second = signals.joints[i], signals.joints[j]
+            first, second = balance.joints[i], balance.joints[j]
             found.append(Finding(
-                'swapped_torques', first, 'refuse', f'{signals.source}: the torques of {first} '
+                'swapped_torques', first, 'refuse', f'{balance.source}: the torques of {first} '
                 f'and {second} seem exchanged: each fits the motion of the other; exchange the '
                 'names in the recording or the robot file'))
     return found

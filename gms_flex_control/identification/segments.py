@@ -97,8 +97,10 @@ def _spring_mismatch(recording, robot, j):
     if known.sum() < 100:
         return 0.0
     time, period = recording.time[known], recording.period
-    grid, (q_link, q_motor) = _even(time, (recording.q_link[known, j],
-                                           recording.q_motor[known, j]))
+    step = float(np.median(np.diff(time)))
+    grid = time[0] + step * np.arange(int((time[-1] - time[0]) / step * (1 + 1e-9)) + 1)
+    q_link, q_motor = (np.interp(grid, time, side[known, j])
+                       for side in (recording.q_link, recording.q_motor))
     # a state has the mean torque of the sample before it
     tau = np.interp(grid, time - 0.5 * period, recording.tau_motor[known, j])
     inertia = max(robot.arm.motor_inertia[j], robot.arm.stiffness[j] * period ** 2)
@@ -111,12 +113,6 @@ def _spring_mismatch(recording, robot, j):
     edge = slice(window, -window)
     rest = spring[edge] - motor[edge]
     return float(np.std(rest) / max(np.std(motor[edge]), 1e-300))
-
-
-def _even(time, channels):
-    period = float(np.median(np.diff(time)))
-    grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period * (1 + 1e-9)) + 1)
-    return grid, [np.interp(grid, time, channel) for channel in channels]
 
 
 def rigid_where(robot: RobotParams, sides: Sequence[str]) -> RobotParams:

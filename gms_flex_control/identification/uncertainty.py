@@ -254,32 +254,23 @@ def _model_dependence(theta, n_blocks, rivals):
 def _estimate(row, theta, error, off, reaches):
     name, unit, i, determined, kind = row
     value, chance, half = float(theta[i]), error[i], CONFIDENT * np.hypot(error[i], off[i])
-    flags, notes = [], []
+    found = []  # flags, and what is said of each
     if kind == 'viscous' and value < _NOTHING * theta[1]:
-        flags.append('at bound')
-        notes.append('no viscous part is seen')
+        found.append(('at bound', 'no viscous part is seen'))
     if kind == 'static' and value - theta[i + 1] < _NOTHING * value:
-        flags.append('at bound')
-        notes.append('static and Coulomb friction are the same')
-    if determined < 0.5 or CONFIDENT * chance > _VAGUE:
-        flags.append(NOT_IDENTIFIABLE)
-        notes.append(_NEEDS[kind])
-    elif off[i] > CONFIDENT * chance and half > WELL_KNOWN:
-        flags.append(DEPENDS)
-        notes.append(_DEPENDS_NOTE)
-    elif half > _VAGUE:
-        flags.append(NOT_IDENTIFIABLE)
-        notes.append(_NEEDS[kind])
+        found.append(('at bound', 'static and Coulomb friction are the same'))
+    depends = off[i] > CONFIDENT * chance and half > WELL_KNOWN
+    if determined < 0.5 or CONFIDENT * chance > _VAGUE or (half > _VAGUE and not depends):
+        found.append((NOT_IDENTIFIABLE, _NEEDS[kind]))
+    elif depends:
+        found.append((DEPENDS, _DEPENDS_NOTE))
     if kind == 'stiffness':
-        weight = theta[i + MOST_BLOCKS]
-        late = _slips_late(weight * theta[STATICS].mean() / value,
-                           *reaches)
-        flags += [NOT_IDENTIFIABLE] if late else []
-        notes += [late] if late else []
-    flags = tuple(dict.fromkeys(flags))
+        late = _slips_late(theta[i + MOST_BLOCKS] * theta[STATICS].mean() / value, *reaches)
+        found += [(NOT_IDENTIFIABLE, late)] if late else []
+    flags = tuple(dict.fromkeys(flag for flag, _ in found))
     wide = np.nan if {NOT_IDENTIFIABLE, DEPENDS} & set(flags) else np.exp(half)
     return Estimate(name, unit, value, Interval(float(value / wide), float(value * wide)), flags,
-                    '; '.join(notes))
+                    '; '.join(note for _, note in found))
 
 
 def _slips_late(yielding, reach, travel):
