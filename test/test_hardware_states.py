@@ -9,6 +9,7 @@ from gms_flex_control.hardware.mapping import (
     JointMap,
     Reading,
     ReadingError,
+    sort,
     StateMerger,
     Timeline,
 )
@@ -42,9 +43,9 @@ def take(merged, names, position, stamp, *, source=0, velocity=(), effort=(), no
 
 
 def by_joints(mapped, *, state=((0.0,) * 3,) * 2, efforts=(NAN,) * 3, otherwise=(0.0,) * 2):
-    """Return what `JointMap.sort` makes of readings of three encoders: sides, torque."""
+    """Return what `sort` makes of readings of three encoders: sides, torque."""
     sides, torque = np.zeros((4, 2)), np.zeros(2)
-    mapped.sort(*map(np.array, (state, efforts, otherwise)), sides, torque)
+    sort(*map(np.array, (state, efforts, otherwise)), *mapped.arrays[:3], sides, torque)
     return sides, torque
 
 

@@ -127,8 +127,8 @@ def test_a_device_that_fails_gets_zero_before_it_is_closed_and_is_opened_again(
     device, robot = Failing(fails), Zeroed()
     monkeypatch.setattr(robot_links.devices, 'find', lambda *_: device)
     robot.link = link = robot_links.DeviceLink(
-        lab.node, robot, {'bridge.device': 'failing', 'bridge.device_options': []}, ('m',), [])
-    with link:
+        lab.node, robot, {'bridge.device': 'failing', 'bridge.device_options': []}, ('m',))
+    with link.reading():
         lab.until(lambda: not link.broken)
         try:
             link.write([0.5])

@@ -47,13 +47,13 @@ def test_it_knows_time_rate_place_and_travel(watch):
 def test_a_limit_passed_is_a_fault_while_it_is_on_guard(watch, speed, q, sentence):
     moved(watch, speed, q=q)
     assert watch.fault is None
-    watch.guard(True)
+    watch.guarded = True
     moved(watch, speed, q=q, begin=watch.stamp + PERIOD)
     assert watch.fault == sentence
 
 
 def test_encoder_counts_and_the_limit_itself_are_no_fault(watch):
-    watch.guard(True)
+    watch.guarded = True
     moved(watch, 1.2)
     for k in range(200):  # a count forth and back at each sample is 0.16 rad/s
         watch.take(joint_state(watch.stamp + PERIOD, (0.24 + 3.14e-4 * (k % 2), 0, 0, 0)))

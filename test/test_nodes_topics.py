@@ -35,16 +35,15 @@ def lab(tmp_path_factory):
 
 def test_what_waits_behind_a_burst_on_another_topic_is_looked_at_before_its_end(lab):
     """An executor hands out the burst's events first; inboxes of a node do not wait for them."""
-    heard, boxes = [], []
+    heard = []
     node = rclpy.create_node('hearer', context=lab.node.context)
-    node.direct = Direct()
+    node.direct, node.inboxes = Direct(), []
     node.namesakes = Namesakes(node)
     node.health = Health(node)
     executor = EventsExecutor(context=lab.node.context)
     executor.add_node(node)
     for topic in ('burst', 'single'):
-        Inbox(node, JointState, topic, lambda message, topic=topic: heard.append(topic) or True,
-              boxes=boxes)
+        Inbox(node, JointState, topic, lambda message, topic=topic: heard.append(topic) or True)
     burst, single = (lab.speak(JointState, topic) for topic in ('burst', 'single'))
     seen = lab.listen(JointState, 'single')
     lab.until(lambda: burst.get_subscription_count() and single.get_subscription_count() == 2)

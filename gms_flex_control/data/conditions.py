@@ -49,12 +49,13 @@ def conditions_of(bag) -> Conditions:
     whole = top.value('load') == UNKNOWN
     load = None if whole else top.section('load')
     body = _load(load)
+    constants = top.section('torque_constant', example=f'{{joint1: 12.4, joint2: {UNKNOWN}}}')
     return Conditions(
         operation=Operation(
             load=body, load_unknown=whole or body is not None and load.value('com') is None,
             temperature=str(top.value('temperature') or '')),
-        torque_constant=_constants(top.section(
-            'torque_constant', example=f'{{joint1: 12.4, joint2: {UNKNOWN}}}')),
+        torque_constant=constants and {joint: _constant(constants, joint)
+                                       for joint in constants.keys()},
         coupling=_coupling(top.section('coupling', example='{joint6: {joint5: 1.0}}')))
 
 
@@ -190,10 +191,6 @@ def _coupling(node):
     others = {motor: node.section(motor, example='{joint5: 1.0}') for motor in node.keys()}
     return {motor: {joint: one.value(joint, 'number') for joint in one.keys()}
             for motor, one in others.items()}
-
-
-def _constants(node):
-    return node and {joint: _constant(node, joint) for joint in node.keys()}
 
 
 def _constant(node, joint):

@@ -97,14 +97,6 @@ def carried_on(table, shift) -> np.ndarray:
     return result
 
 
-def _by_stamp(stamps, other_stamps, values):
-    """Return ``values`` (S, n) of ``other_stamps`` (S,) at ``stamps`` (T,), NaN where none."""
-    result = np.full((len(stamps), values.shape[1]), np.nan)
-    row = _row_of(other_stamps, stamps)
-    result[row[row >= 0]] = values[row >= 0]
-    return result
-
-
 class Series:
     """The topics of one recording, decoded while the bag is read; see `read_recording`."""
 
@@ -291,7 +283,10 @@ class Series:
 
     def friction(self, stamps) -> np.ndarray:
         """Return the friction estimate at the states, shape (T, n)."""
-        return _by_stamp(stamps, *self._take('controller_state', 'stamps', 'effort'))
+        own, values = self._take('controller_state', 'stamps', 'effort')
+        result, row = np.full((len(stamps), values.shape[1]), np.nan), _row_of(own, stamps)
+        result[row[row >= 0]] = values[row >= 0]
+        return result
 
     def supply(self, stamps, received) -> np.ndarray:
         """Return the voltage at the states, shape (T,), between two messages a straight line."""

@@ -9,7 +9,7 @@ from gms_flex_control.errors import ParameterError
 from gms_flex_control.hardware import limits as limiting
 from gms_flex_control.hardware import supervision
 from gms_flex_control.hardware.limits import Limits, NEEDED
-from gms_flex_control.hardware.mapping import JointMap, NANOSECONDS, StateMerger
+from gms_flex_control.hardware.mapping import JointMap, NANOSECONDS, sort, StateMerger
 import numpy as np
 
 _KEPT_STATES = 64          # published states that a command may answer
@@ -59,7 +59,7 @@ class RobotSide:
         """Take the state that the merger has completed; return the time since the last [s]."""
         merger = self.merger
         elapsed = (merger.time - self.stamp) / NANOSECONDS
-        joint_map.sort(merger.state, merger.effort, given, self.rows, self.applied)
+        sort(merger.state, merger.effort, given, *joint_map.arrays[:3], self.rows, self.applied)
         self.worst_age = max(self.worst_age, now - merger.time)
         return elapsed
 

@@ -76,7 +76,7 @@ class JointMap:
         if sorted(order) != sorted(self.joints):
             raise ParameterError(f'the order of the commands {list(order)} must name each of '
                                  f'{list(self.joints)} once')
-        self._order = np.array([self.joints.index(name) for name in order])
+        places = np.array([self.joints.index(name) for name in order])
         readings = [*links, *(motor for motor in motors if motor is not None)]
         self.names = tuple(reading.name for reading in readings)
         for what, where, called in (
@@ -88,38 +88,31 @@ class JointMap:
         self.slope = np.array([r.sign / r.ratio for r in readings])  # angle per reading
         self.offset = np.array([r.offset for r in readings])
         n, flexible = len(self.joints), [motor is not None for motor in motors]
-        self._motor_channel = np.arange(n)
-        self._motor_channel[flexible] = n + np.arange(sum(flexible))
-        self._scale = np.array([a.sign * a.torque_constant * a.gear for a in actuators])
-        self.command_names = tuple(actuators[j].name for j in self._order)
+        motor_channel = np.arange(n)
+        motor_channel[flexible] = n + np.arange(sum(flexible))
+        scale = np.array([a.sign * a.torque_constant * a.gear for a in actuators])
+        self.command_names = tuple(actuators[j].name for j in places)
         # some robots report an effort under a name that no encoder has
         self.effort_names = tuple(dict.fromkeys([*self.names, *(a.name for a in actuators)]))
-        self._effort_channel = np.array([self.effort_names.index(a.name) for a in actuators])
+        effort_channel = np.array([self.effort_names.index(a.name) for a in actuators])
+        # channels of motors and of actuators, scale and order of the efforts
+        self.arrays = motor_channel, effort_channel, scale, places
 
     def efforts(self, torque) -> np.ndarray:
         """Return efforts in the robot's units and order from torques (n_joints,) [N m]."""
-        return (torque / self._scale)[self._order] + 0.0  # never -0
-
-    @property
-    def arrays(self) -> tuple:
-        """Return channels of motors and actuators, scale, and order of the efforts."""
-        return self._motor_channel, self._effort_channel, self._scale, self._order
-
-    def sort(self, state, efforts, otherwise, sides, torque) -> None:
-        """
-        Sort what was measured by joints: into ``sides`` (4, n_joints) and ``torque`` (n_joints,).
-
-        ``state`` (2, m) has angles and velocities by `names`, ``sides`` gets those of the links,
-        then of the motors. ``efforts`` are by `effort_names`; where the robot measures none (NaN)
-        the torque is that of ``otherwise`` (n_joints,) [N m].
-        """
-        sort(state, efforts, otherwise, self._motor_channel, self._effort_channel, self._scale,
-             sides, torque)
+        *_, scale, order = self.arrays
+        return (torque / scale)[order] + 0.0  # never -0
 
 
 @compiled
 def sort(state, efforts, otherwise, motor, actuator, scale, sides, torque) -> None:
-    """Sort a state as `JointMap.sort`."""
+    """
+    Sort what was measured by joints: into ``sides`` (4, n_joints) and ``torque`` (n_joints,).
+
+    ``state`` (2, m) has angles and velocities by `JointMap.names`, ``sides`` gets those of the
+    links, then of the motors. ``efforts`` are by `effort_names`; where the robot measures none
+    (NaN) the torque is that of ``otherwise`` (n_joints,) [N m]. See `JointMap.arrays`.
+    """
     for j in range(len(torque)):
         for k in range(2):
             sides[k, j], sides[2 + k, j] = state[k, j], state[k, motor[j]]

@@ -44,10 +44,9 @@ class BridgedRobot(supervision.SupervisedRobot):
         self._state_pub = Outlet(node, JointState, 'joint_states', ahead=True)
         self._ends, self._passed = False, 0
         self._foresight, self._ahead = None, None  # what was sent ahead, and when
-        link, boxes = DeviceLink if values['bridge.device'] else TopicLink, []
-        self._link = link(node, self, values, self._bridge.params.joint_map.command_names, boxes)
-        Inbox(node, Float64MultiArray, 'effort_controller/commands', self._on_command,
-              boxes=boxes)
+        self._link = (DeviceLink if values['bridge.device'] else TopicLink)(
+            node, self, values, self._bridge.params.joint_map.command_names)
+        Inbox(node, Float64MultiArray, 'effort_controller/commands', self._on_command)
 
     def now(self) -> int:
         """Return a time that never jumps, near that of the system at the start [ns]."""
@@ -181,7 +180,7 @@ class BridgedRobot(supervision.SupervisedRobot):
         scheduling.tighten_timers()
         sys.setswitchinterval(_SWITCH)
         look = self._health.shield(self._look)
-        with process.BackgroundSpin(spinner) as background, self._link:
+        with process.BackgroundSpin(spinner) as background, self._link.reading():
             try:
                 while spinner.goes_on():
                     if background.error is not None:

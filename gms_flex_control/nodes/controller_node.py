@@ -130,9 +130,8 @@ class ControllerNode(ConfiguredNode):
         self._silence = _Silence(watched=not self._lockstep)
         self._watched = self.health.guard(self._watch)
         self._outputs = _Outputs(self, robot, values['mode'], values['state_every'])
-        boxes = []
-        Inbox(self, Float64MultiArray, 'reference', self._on_reference, values['mode'], boxes)
-        Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'], boxes)
+        Inbox(self, Float64MultiArray, 'reference', self._on_reference, values['mode'])
+        Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
         reset = self.health.guard(trigger('reset', self._reset))
         self.create_service(Trigger, '~/reset', reset)
         self.direct.services[self.resolve_service_name('~/reset')] = reset

@@ -93,14 +93,6 @@ def _enclave_of(words):
     return ['--ros-args', '--enclave', words[words.index('--enclave') + 1]]
 
 
-def _heard_by(zeros, before, pipe):
-    """Return how many listen to the zeros; say so to a pipe if it is not as ``before``."""
-    count = min(255, sum(publisher.get_subscription_count() for publisher, _ in zeros))
-    if count != before:
-        os.write(pipe, bytes([count]))
-    return count
-
-
 def _guard():
     """Watch the standard input until it says that the bridge has ended in order."""
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -112,7 +104,7 @@ def _guard():
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name, enable_rosout=False, start_parameter_services=False)
     scheduling.take_priority(node, priority)
-    zeros, count = efforts(node, array, joint, names), 0
+    zeros, said = efforts(node, array, joint, names), 0
     heard, dead = time.monotonic(), None
     while dead is None or time.monotonic() < dead + _AFTERWARDS:
         if dead is None and select.select([sys.stdin], [], [], _PERIOD)[0]:
@@ -126,7 +118,10 @@ def _guard():
             for publisher, message in zeros:
                 publisher.publish(message)
         if dead is None:
-            count = _heard_by(zeros, count, pipe)
+            count = min(255, sum(publisher.get_subscription_count() for publisher, _ in zeros))
+            if count != said:
+                os.write(pipe, bytes([count]))
+                said = count
     node.destroy_node()
     rclpy.try_shutdown()
 

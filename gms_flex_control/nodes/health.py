@@ -157,7 +157,9 @@ class Health:
     def _look(self):
         self._looks += 1
         if self._looks % _LOOKS_PER_REPORT == 0:
-            counted, self._reports = _endpoints_of_others(self._node), self._reports + 1
+            node, self._reports = self._node, self._reports + 1
+            counted = [*(node.count_publishers(own.topic_name) for own in node.subscriptions),
+                       *(node.count_subscribers(own.topic_name) for own in node.publishers)]
             # to compare takes most of a sample at 1 kHz
             if counted != self._counted or self._reports % _REPORTS_PER_COMPARISON == 0:
                 self._counted = counted
@@ -179,12 +181,6 @@ class Health:
         message = self._node.namesakes.say(*self._said, self._figures())
         for hear in self._hearers:
             hear(message)
-
-
-def _endpoints_of_others(node):
-    """Return how many are at the other end of each endpoint of a node."""
-    return (*(node.count_publishers(own.topic_name) for own in node.subscriptions),
-            *(node.count_subscribers(own.topic_name) for own in node.publishers))
 
 
 def mismatches(node) -> Iterator:

@@ -28,7 +28,7 @@ from gms_flex_control.schema.keys import (
     IDENTIFICATION_NODE,
     robot_keys,
 )
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -36,8 +36,7 @@ from std_srvs.srv import SetBool, Trigger
 _BYTES_PER_SAMPLE = 1000  # state, command and reference with their frames, generously
 _RATE_SAMPLES = 20        # joint states that give the rate
 _GOODBYE = 1.0            # for a last call to be answered [s]
-_LATCHED = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100,
-                      reliability=ReliabilityPolicy.RELIABLE,
+_LATCHED = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _DEPTH = 5000  # it reads each state, however far it falls behind a plant in lockstep
 
@@ -181,36 +180,24 @@ class IdentificationNode(ConfiguredNode):
         if self._stopped:
             raise StoppedError
 
-    def until(self, condition) -> None:
-        """Spin until ``condition()`` while the loop lives."""
-        while not condition():
-            self.spin()
-            self._require_life()
-
-    def _require_life(self):
-        silent = self._bag.silent(self['silence'])
-        if silent:
-            raise ExperimentError(
-                f'no {" and no ".join(silent)} for {self["silence"]:g} s: the robot is left '
-                'without torque; is every node running?')
-
-    def answer(self, future, who) -> object:
-        """Return the answer of a call."""
-        end, self._pending = time.monotonic() + self['patience'], future
-        while not future.done():
-            self.spin()
-            self._require_life()
-            if time.monotonic() > end:
-                raise ExperimentError(f'{who} did not answer in {self["patience"]:g} s')
-        return future.result()
-
-    def _come(self, condition, words):
-        """Spin until others are there."""
+    def until(self, condition, otherwise=None) -> None:
+        """Spin until ``condition()`` while the loop lives; ``otherwise()``: not in time."""
         end = time.monotonic() + self['patience']
         while not condition():
             self.spin()
-            if time.monotonic() > end:
-                raise ExperimentError(f'{words()} in {self["patience"]:g} s')
+            silent = self._bag and self._bag.silent(self['silence'])
+            if silent:
+                raise ExperimentError(
+                    f'no {" and no ".join(silent)} for {self["silence"]:g} s: the robot is left '
+                    'without torque; is every node running?')
+            if otherwise and time.monotonic() > end:
+                raise ExperimentError(f'{otherwise()} in {self["patience"]:g} s')
+
+    def answer(self, future, who) -> object:
+        """Return the answer of a call."""
+        self._pending = future
+        self.until(future.done, lambda: f'{who} did not answer')
+        return future.result()
 
     def phase(self, name, step=None) -> None:
         """Publish what is done from the next joint state on."""
@@ -233,17 +220,17 @@ class IdentificationNode(ConfiguredNode):
 
     def _prepare(self):
         for remote in (self.trajectory, self.controller):
-            self._come(remote.is_ready, lambda remote=remote: (
+            self.until(remote.is_ready, lambda remote=remote: (
                 f'the services of {remote.name} did not appear'))
         self._fit.set_pause(False)  # of one that was killed while it computed
-        self._come(lambda: self.watch.samples > _RATE_SAMPLES, lambda: f'no state on {STATES}')
+        self.until(lambda: self.watch.samples > _RATE_SAMPLES, lambda: f'no state on {STATES}')
         samples = self.plan.duration() / self.watch.period
         require_space(Path(self['bag']).parent, samples * _BYTES_PER_SAMPLE)
 
     def _record(self, path):
         with ExperimentBag(self, path, self._phase_pub, self.say) as bag:
             recorder = bag.recorder
-            self._come(lambda: recorder.poll() or not recorder.missing,
+            self.until(lambda: recorder.poll() or not recorder.missing,
                        lambda: f'nobody publishes {", ".join(recorder.missing)}')
             self._bag = bag
             try:
@@ -277,7 +264,7 @@ class IdentificationNode(ConfiguredNode):
         """Ask for zero torque once more, after all calls before, and see it out."""
         self.phase('idle')
         self.get_logger().warning('zero torque')
-        self.watch.guard(False)
+        self.watch.guarded = False
         if self._pending is not None:
             self.see_out(self._pending)  # a ~/start that overtakes it would undo it
         if self.trajectory.is_ready():

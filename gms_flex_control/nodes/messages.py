@@ -60,18 +60,15 @@ def first_bad(values, limit) -> int | None:
     return next((k for k, value in enumerate(values) if not abs(value) <= limit), None)
 
 
-def _some(names):
-    more = f' and {len(names) - _NAMED} more' if len(names) > _NAMED else ''
-    return ', '.join(name[:80] for name in names[:_NAMED]) + more
-
-
 def order_of(wanted, names, what='joint states') -> list:
     """Return where the ``wanted`` stand among ``names`` of ``what``; JointsError if not once."""
     order = []
     for name in wanted:
         count = names.count(name)
         if count == 0:
-            raise JointsError(f'{what} lack {name!r} (have {_some(names)}); '
+            some = ', '.join(one[:80] for one in names[:_NAMED])
+            more = f' and {len(names) - _NAMED} more' if len(names) > _NAMED else ''
+            raise JointsError(f'{what} lack {name!r} (have {some}{more}); '
                               'check joints and motors in the robot file')
         if count > 1:
             raise JointsError(f'{what} name {name!r} more than once')
@@ -113,14 +110,11 @@ class JointNumbers:
             raise RefusedError(f'joint states have {len(names)} names and {len(values)} '
                                f'{_PLURALS[field]}; each name needs one')
         numbers = [values[index] for index in self.order]
-        self._refuse_bad(field, numbers)
-        return numbers
-
-    def _refuse_bad(self, field, numbers):
         bad = first_bad(numbers, LARGEST_STATE)
         if bad is not None:
             raise RefusedError(f'joint states have {field} {numbers[bad]} for '
                                f'{self._wanted[bad]!r} ({field}[{self.order[bad]}])')
+        return numbers
 
 
 class JointStateReader:

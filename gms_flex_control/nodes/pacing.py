@@ -4,10 +4,9 @@
 import sys
 import time
 
-from builtin_interfaces.msg import Time
 from gms_flex_control.hardware.supervision import LATE, Lateness, NOTABLE
 from gms_flex_control.nodes import process, scheduling
-from gms_flex_control.nodes.messages import NANOSECONDS, now
+from gms_flex_control.nodes.messages import NANOSECONDS, now, set_stamp
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
@@ -187,8 +186,8 @@ class Lockstep:
 
     def _publish_clock(self):
         if self._arm.stamp >= self._next_clock:
-            sec, nanosec = divmod(self._arm.stamp, NANOSECONDS)
-            message = Clock(clock=Time(sec=sec, nanosec=nanosec))
+            message = Clock()
+            set_stamp(message.clock, self._arm.stamp)
             self._clock_pub.publish(message)
             for hear in self._hearers:
                 hear(message)

@@ -63,7 +63,7 @@ class ConfiguredNode(Node):
     """A node that declares all parameters it is given, for `NodeParameters` to check."""
 
     def __init__(self, name, direct=None, **kwargs):
-        self.direct, begin = direct or Direct(), time.monotonic()
+        self.direct, self.inboxes, begin = direct or Direct(), [], time.monotonic()
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **kwargs)
         self.namesakes = Namesakes(self, time.monotonic() - begin)
 

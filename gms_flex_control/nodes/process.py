@@ -2,7 +2,7 @@
 """How each of our processes starts, is scheduled, reaches others and ends: with zero torque."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, ExitStack, suppress
 import ctypes
 from functools import partial
 import gc
@@ -21,7 +21,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental import EventsExecutor
 from rclpy.logging import get_logger
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
@@ -43,7 +43,7 @@ _IGNORE_OWN = 'fastdds.ignore_local_endpoints'
 
 def publisher_qos(mode) -> QoSProfile:
     """Return the quality of service of what we publish; in lockstep a recorder may fall behind."""
-    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1000 if mode == 'lockstep' else 10,
+    return QoSProfile(depth=1000 if mode == 'lockstep' else 10,
                       reliability=ReliabilityPolicy.RELIABLE)
 
 
@@ -55,9 +55,8 @@ def subscriber_qos(mode, depth=10) -> QoSProfile:
     waited for. Ten messages deep, so that a short stall loses none; stale ones show by
     their stamp. Who must see each of them asks for more.
     """
-    reliability = (ReliabilityPolicy.RELIABLE if mode == 'lockstep'
-                   else ReliabilityPolicy.BEST_EFFORT)
-    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability)
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE if mode == 'lockstep'
+                      else ReliabilityPolicy.BEST_EFFORT)
 
 
 def _handle_signals(handler):
@@ -76,22 +75,17 @@ class Spinner:
     def __init__(self):
         self._executor = None
         self._failed, self.refused = None, ''  # the latter: why this process has to end
-        self._stopped = False
+        self.stopped = False  # whether a signal has come
         _handle_signals(self._on_signal)
 
     def _on_signal(self, _number, _frame):
-        starting = self._executor is None and not self._stopped
-        self._stopped = True
+        starting = self._executor is None and not self.stopped
+        self.stopped = True
         if starting:  # there may be seconds of compiling ahead
             # raised in a callback of a library, it is printed there, and the start goes on
             sys.unraisablehook = lambda _: None
             _after(_LONGEST_END, partial(os._exit, 0))
             raise KeyboardInterrupt
-
-    @property
-    def stopped(self) -> bool:
-        """Return whether a signal has come."""
-        return self._stopped
 
     def add(self, *nodes) -> None:
         """Take nodes whose callbacks are run; ``health`` of the first, if any, is notified."""
@@ -108,7 +102,7 @@ class Spinner:
 
     def goes_on(self) -> bool:
         """Return whether the node is to go on."""
-        return not (self._stopped or self.refused) and rclpy.ok()
+        return not (self.stopped or self.refused) and rclpy.ok()
 
     def spin_once(self, timeout=0.1) -> None:
         """Run a callback that is due, or wait ``timeout`` seconds for one."""
@@ -215,25 +209,16 @@ def _refuse(error):
 @contextmanager
 def hidden_node(purpose) -> Iterator:
     """Yield a node that lists leave out and its executor; it interrupts nobody."""
-    with interrupting_nobody(), _initialized():
+    with interrupting_nobody(), ExitStack() as ending:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        ending.callback(rclpy.try_shutdown)
         node = rclpy.create_node(f'_gms_flex_{purpose}_{time.time_ns() % 10**9}',
                                  enable_rosout=False, start_parameter_services=False)
+        ending.callback(node.destroy_node)
         executor = EventsExecutor()
+        ending.callback(executor.shutdown)
         executor.add_node(node)
-        try:
-            yield node, executor
-        finally:
-            executor.shutdown()
-            node.destroy_node()
-
-
-@contextmanager
-def _initialized():
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        yield
-    finally:
-        rclpy.try_shutdown()
+        yield node, executor
 
 
 class BackgroundSpin:

@@ -119,15 +119,11 @@ def _setting(values):
 
 def _described(name, value, descriptor):
     ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
-    lower, upper = (ranges[0].from_value, ranges[0].to_value) if ranges else (None, None)
+    bounds = (ranges[0].from_value, ranges[0].to_value) if ranges else (math.inf, math.inf)
+    lower, upper = (bound if math.isfinite(bound) else None for bound in bounds)
     choices = []
     if value is not None and descriptor.type == ParameterType.PARAMETER_STRING and \
             descriptor.additional_constraints.startswith('one of '):
         choices = descriptor.additional_constraints.removeprefix('one of ').split(', ')
     return {'name': name, 'value': value, 'description': descriptor.description,
-            'lower': _finite(lower), 'upper': _finite(upper), 'choices': choices,
-            'read_only': descriptor.read_only}
-
-
-def _finite(number):
-    return number if number is not None and math.isfinite(number) else None
+            'lower': lower, 'upper': upper, 'choices': choices, 'read_only': descriptor.read_only}

@@ -1,6 +1,8 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The ways from the bridge to a robot: topics, or a Device."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 import threading
 import time
 
@@ -19,12 +21,13 @@ class TopicLink:
     """A robot of JointState and effort topics, as ros2_control's; ``names`` of its actuators."""
 
     errors = ()
+    reading = staticmethod(nullcontext)  # the node reads its topics
 
-    def __init__(self, node, robot, values, names, boxes):
+    def __init__(self, node, robot, values, names):
         self._node, self._robot = node, robot
         self._refuse_own_topics(values)
         for source, topic in enumerate(values['bridge.state_topics']):
-            Inbox(node, JointState, topic, self._taker(source), boxes=boxes)
+            Inbox(node, JointState, topic, self._taker(source))
         kind = values['bridge.command_type']
         array_topic = '' if kind == 'joint_state' else values['bridge.command_topic']
         joint_topic = '' if kind == 'array' else values['bridge.joint_command_topic']
@@ -106,13 +109,6 @@ class TopicLink:
         self._known_rivals = rivals
         return rivals
 
-    def __enter__(self):
-        """Return the link; it listens since it was made."""
-        return self
-
-    def __exit__(self, *_):
-        """Leave the topics to the node."""
-
     def finish(self) -> None:
         """Wait until those who acknowledge have the last efforts."""
         for publisher, _ in self._efforts:
@@ -134,7 +130,7 @@ class DeviceLink:
 
     errors = (DeviceError,)
 
-    def __init__(self, node, robot, values, names, _boxes):
+    def __init__(self, node, robot, values, names):
         self._node, self._robot = node, robot
         self._name = values['bridge.device']
         self._device = devices.find(self._name, values['bridge.device_options'], names)
@@ -204,15 +200,15 @@ class DeviceLink:
         """Return what stands against torque here (str); '' if nothing does."""
         return self.broken
 
-    def __enter__(self):
-        """Begin to read the device, in a thread of its own."""
+    @contextmanager
+    def reading(self) -> Iterator:
+        """Read the device in a thread of its own; wait a second at most for its end."""
         self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        """Stop reading, and wait a second at most for the thread."""
-        self._over.set()
-        self._thread.join(timeout=1.0)
+        try:
+            yield
+        finally:
+            self._over.set()
+            self._thread.join(timeout=1.0)
 
     def finish(self) -> None:
         """Disconnect."""

@@ -131,12 +131,8 @@ class SimulatedRobot(supervision.SupervisedRobot):
         self._commands.take(source, now)  # first: `watch` in the other thread looks at it
         if not self._supervisor.active:
             self._resume(silence)
-        self.take(np.array(torque), stamp, now)
+        self.command = (np.array(torque), stamp, now)
         return True
-
-    def take(self, torque, stamp, now) -> None:
-        """Take a command (n_joints,) [N m] that answers the state of ``stamp``, None for any."""
-        self.command = (torque, stamp, now)
 
     def simulate(self, torque) -> None:
         """Simulate one sample under a torque, if any may flow."""

@@ -39,16 +39,12 @@ class Watch:
         self.q_link = np.full(len(plan.joints), np.nan)
         self._links = messages.JointNumbers(plan.joints)
         self._first = self._window = None
-        self._guarded, self._origin = False, None
+        self.guarded, self._origin = False, None  # whether the limits are watched
 
     @property
     def period(self) -> float:
         """Return the mean sample [s]."""
         return max(self.stamp - self._first, 1) / (NANOSECONDS * max(self.samples - 1, 1))
-
-    def guard(self, on) -> None:
-        """Watch the limits from now on, or no longer."""
-        self._guarded = on
 
     def mark(self) -> None:
         """Measure travel from here."""
@@ -73,7 +69,7 @@ class Watch:
     def _judge(self, q_link):
         if self._window is None or self.stamp - self._window[0] > 10 * _WINDOW:
             self._window = (self.stamp, list(q_link))
-        if not self._guarded or self.fault is not None:
+        if not self.guarded or self.fault is not None:
             return
         plan, limits = self._plan, self._plan.limits
         for j, joint in enumerate(plan.joints):
@@ -105,18 +101,19 @@ class StepRunner:
         self._take_over()
         steps = plan.steps(self._finished, node.watch.q_link)
         begin, expected, passed = node.watch.stamp, sum(s.duration_estimate for s in steps), 0.0
-        node.watch.guard(True)
+        node.watch.guarded = True
         for step in steps:
             if step in plan.experiments:
                 node.say(f'{100.0 * passed / expected:3.0f} %, {expected - passed:.0f} s to go: '
                          f'{step.name}')
             adapted = self._adaptation.applied_to(step)
             node.phase(step.phase, adapted)
-            self._carry_out(adapted)
+            {'approach': self._approach, 'relax': self._relax, 'motion': self._move,
+             'torque': self._push}[step.kind](adapted)
             passed += step.duration_estimate
             if step in plan.experiments:
                 self._finished.append(step.name)
-        node.watch.guard(False)
+        node.watch.guarded = False
         node.phase('idle')
         self._set(node.controller, self._before)
         taken = (node.watch.stamp - begin) / NANOSECONDS
@@ -163,10 +160,6 @@ class StepRunner:
         if compensation != self._compensation:
             self._set(self._node.controller, {'compensation': compensation})
             self._compensation = compensation
-
-    def _carry_out(self, step):
-        {'approach': self._approach, 'relax': self._relax, 'motion': self._move,
-         'torque': self._push}[step.kind](step)
 
     def _approach(self, step):
         time = self._plan.approach_time(self._node.watch.q_link, step.end)
@@ -240,11 +233,12 @@ def drive_motion(parameters: dict, duration: float, bag: str | Path, *, patience
     called; BagError if the bag cannot be written.
     """
     with hidden_node('next') as (node, executor), BagWriter(bag) as writer:
-        runner = _Runner(node, executor, Recorder(node, writer, list(TOPICS), say), patience)
+        recorder = Recorder(node, writer, list(TOPICS), say)
         try:
-            runner.run(parameters | {'trajectory.approach_time': APPROACH}, duration)
+            _Runner(node, executor, recorder, patience).run(
+                parameters | {'trajectory.approach_time': APPROACH}, duration)
         finally:
-            runner.close()
+            recorder.close()
 
 
 class _Runner:
@@ -253,7 +247,7 @@ class _Runner:
     def __init__(self, node, executor, recorder, patience):
         self._executor, self._recorder, self._patience = executor, recorder, patience
         self._trajectory = RemoteNode(node, 'trajectory', ('start', 'stop'))
-        self._stamp, self._heard, self._moving = None, time.monotonic(), False
+        self._stamp, self._heard = None, time.monotonic()
         node.create_subscription(JointState, 'joint_states', self._on_state,
                                  qos_profile_sensor_data, event_callbacks=NO_EVENTS)
 
@@ -271,10 +265,10 @@ class _Runner:
         if not answer.successful:
             raise RunError(f'/trajectory refuses the motion: {answer.reason}')
         self._trigger('start')
-        self._moving = True
-        self._pass(duration + APPROACH)
-        self._trigger('stop')
-        self._moving = False
+        try:
+            self._pass(duration + APPROACH)
+        finally:
+            self._trigger('stop')
         self._pass(APPROACH)
 
     def _trigger(self, service):
@@ -307,12 +301,3 @@ class _Runner:
     def _spin(self):
         self._recorder.poll()
         self._executor.spin_once(timeout_sec=0.02)
-
-    def close(self) -> None:
-        """Stop a motion that still goes on, and end the recording."""
-        try:
-            if self._moving:
-                self._moving = False
-                self._trigger('stop')
-        finally:
-            self._recorder.close()

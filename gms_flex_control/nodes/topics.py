@@ -109,11 +109,11 @@ class Inbox:
     Subscription of a node whose handler is given the messages worth a look.
 
     ``handler`` takes a message of ``kind``, JointState or Float64MultiArray, and returns whether
-    it read and accepted it. In lockstep it is given each message. ``boxes`` are the node's other
-    ones, which are looked at together; this one is added.
+    it read and accepted it. In lockstep it is given each message. Those of ``node``, a
+    ConfiguredNode, are looked at together.
     """
 
-    def __init__(self, node, kind, topic, handler, mode='realtime', boxes=None):
+    def __init__(self, node, kind, topic, handler, mode='realtime'):
         self._kind, self._handle = kind, node.health.guard(handler)
         self._health, self._topic = node.health, node.resolve_topic_name(topic)
         node.direct.hearers[self._topic].append(self._handle)
@@ -125,7 +125,7 @@ class Inbox:
                                      event_callbacks=process.NO_EVENTS)
             return
         self._message_of = Deserialized(kind).message
-        self._boxes = [] if boxes is None else boxes
+        self._boxes = node.inboxes
         self._boxes.append(self)
         self._subscription = node.create_subscription(
             kind, topic, node.health.shield(self._empty), process.subscriber_qos(mode, DEPTH),

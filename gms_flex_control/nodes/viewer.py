@@ -56,7 +56,6 @@ class LiveView:
         self._space, self._controller = namespace.rstrip('/'), controller
         self._known = False      # whether the controller has sent its robot
         self._there = False      # whether it answers
-        self._asked = -math.inf
         self._feed, self._todo, self._answers = Feed(), deque(), deque()
         self._stop = threading.Event()
         self._threads = [threading.Thread(target=run, name=run.__name__, daemon=True)
@@ -103,24 +102,18 @@ class LiveView:
 
     def _ask(self):
         """Call services, and look whether the controller is there."""
-        for _ in self._spinning():
-            while self._todo:
-                self._todo.popleft()()
-            now = time.monotonic()
-            if now - self._asked > _ASK_PERIOD:
-                self._asked = now
-                was, self._there = self._there, self._remote.is_ready()
-                if self._there and not (was and self._known):  # it may have another robot now
-                    self._remote.ask_all(self._answers.append)
-
-    def _spinning(self):
-        """Yield between the answers of services until the end."""
-        executor = EventsExecutor()
+        executor, asked = EventsExecutor(), -math.inf
         executor.add_node(self._asker)
         try:
             while rclpy.ok() and not self._stop.is_set():
                 executor.spin_once(timeout_sec=_SPIN)
-                yield
+                while self._todo:
+                    self._todo.popleft()()
+                if time.monotonic() - asked > _ASK_PERIOD:
+                    asked = time.monotonic()
+                    was, self._there = self._there, self._remote.is_ready()
+                    if self._there and not (was and self._known):  # it may have another robot now
+                        self._remote.ask_all(self._answers.append)
         except ExternalShutdownException:
             pass
         finally:
