@@ -74,13 +74,11 @@ def friction_torque(segment: Segment, arm: ArmParams) -> np.ndarray:
 def friction_map(segments: Sequence[Segment], arm: ArmParams, joint: int, period: float,
                  half: float) -> FrictionMap:
     """Return the friction of one joint in windows of a quarter second, or less, one way each."""
-    def enough(found):
-        return [np.sum(way * found.velocity > 0.0) >= _FEWEST_WINDOWS for way in (1.0, -1.0)]
     size = max(round(_WINDOW / period), _SHORTEST)
     found = _in_windows(segments, arm, joint, period, half, size)
-    if any(enough(found)):
+    if moves(found):
         return found
-    while size > _SHORTEST and not all(enough(found)):
+    while size > _SHORTEST and min(_seen(found)) < _FEWEST_WINDOWS:
         size = max(size // 2, _SHORTEST)
         found = _in_windows(segments, arm, joint, period, half, size)
     return found
@@ -88,9 +86,9 @@ def friction_map(segments: Sequence[Segment], arm: ArmParams, joint: int, period
 
 def _in_windows(segments, arm, joint, period, half, size):
     """Return the friction in windows of ``size`` samples."""
-    rows = [_windows(segment, arm, joint, period, half, size, segment.tested[:, joint])
-            for segment in segments if len(segment.rate) >= size]
-    rows = [table[good] for table, good in rows]
+    rows = [table[good] for table, good in (
+        _windows(segment, arm, joint, period, half, size, segment.tested[:, joint])
+        for segment in segments if len(segment.rate) >= size)]
     table = np.concatenate(rows) if rows else np.zeros((0, 3))
     return FrictionMap(table[:, 0], table[:, 1], table[:, 2] > 0)
 
@@ -157,8 +155,7 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
     begins alike, and a warning says that, too. Raises IdentificationError if the joint hardly
     moves, or friction drives it both ways together and there is no ``level``.
     """
-    directions, lines, ways = [], [], [(1.0, 'forward'), (-1.0, 'backward')]
-    seen = _seen(friction_map)
+    seen, ways = _seen(friction_map), ((1.0, 'forward'), (-1.0, 'backward'))
     if not moves(friction_map):
         raise IdentificationError(
             f'{source}: {joint} moves steadily forward {seen[0]} times and backward {seen[1]} '
@@ -168,34 +165,33 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
         warnings.warn(
             f'{source}: {joint} moves steadily {ways[unmoved][1]} {seen[unmoved]} times only: '
             'friction that way is set to that of the other way', stacklevel=2)
-    ways = ways if unmoved is None else [ways[1 - unmoved]]
-    sides = [_steady_rows(friction_map, sign) for sign, _ in ways]
-    medians = [float(np.median(sign * friction_map.torque[rows]))
-               for (sign, _), rows in zip(ways, sides, strict=True)]
-    if level is None and len(ways) == 2 and sum(medians) > 0.0:
+    moved = {name: _steady(friction_map, sign) for k, (sign, name) in enumerate(ways)
+             if k != unmoved}
+    medians = [float(np.median(torque)) for _, torque in moved.values()]
+    if level is None and len(moved) == 2 and sum(medians) > 0.0:
         level = 0.5 * sum(medians)
-    for (sign, name), rows, median in zip(ways, sides, medians, strict=True):
-        torque = sign * friction_map.torque[rows]
+    directions, lines = [], []
+    for (name, (velocity, torque)), median in zip(moved.items(), medians, strict=True):
         if median <= 0.0 and level is not None:
             warnings.warn(
                 f'{source}: what inertia and gravity leave of the torque of {joint} drives its '
                 f'{name} motion as often as it brakes it: other forces (links that act on each '
                 'other, gravity) hide its friction; trust it only as far as the error on data '
                 'held out', stacklevel=2)
-            directions.append(Stribeck(1.02 * level, level, float(np.abs(
-                friction_map.velocity[rows]).max()), 1e-3 * level))
+            directions.append(Stribeck(1.02 * level, level, float(velocity.max()), 1e-3 * level))
             lines.append(directions[-1])
-            continue
-        if median <= 0.0:
+        elif median <= 0.0:
             raise IdentificationError(
                 f'{source}: friction of {joint} would drive its {name} motion (median '
                 f'{median:.4g} N m); check the sign of the torque, the inertia and '
                 'gravity of the robot file')
-        for fitted, fit in ((directions, _fit_stribeck), (lines, _straight)):
-            fitted.append(fit(sign * friction_map.velocity[rows], torque))
+        else:
+            directions.append(_fit_stribeck(velocity, torque))
+            lines.append(_straight(velocity, torque))
     finest = max(_FINEST * resolution, 1e-6 * travel, 1e-9)
     widest = max(min(_WIDEST, travel), 20.0 * finest)
-    directions, lines = (one * 2 if unmoved is not None else one for one in (directions, lines))
+    if unmoved is not None:
+        directions, lines = 2 * directions, 2 * lines
     return Start(*directions, attraction=directions[0].coulomb / _LAG,
                  yields=np.geomspace(finest, widest, N_SPREAD), straight=tuple(lines),
                  unmoved=unmoved)
@@ -211,11 +207,12 @@ def _seen(friction_map):
     return [int(np.sum(sign * friction_map.velocity > 0.0)) for sign in (1.0, -1.0)]
 
 
-def _steady_rows(friction_map, sign):
-    """Return the windows (W,) of motion one way, the steady ones alone where they are enough."""
+def _steady(friction_map, sign):
+    """Return speed and friction one way, (W,) each, in steady windows where they are enough."""
     rows = np.sign(friction_map.velocity) == sign
     steady = rows & friction_map.steady
-    return steady if steady.sum() >= _FEWEST_WINDOWS else rows
+    rows = steady if steady.sum() >= _FEWEST_WINDOWS else rows
+    return sign * friction_map.velocity[rows], sign * friction_map.torque[rows]
 
 
 def repeatability(segments: Sequence[Segment], arm: ArmParams, joint: int, period: float,
