@@ -43,13 +43,11 @@ def config(name) -> PathJoinSubstitution:
 
 def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority='0') -> list:
     """Return the arguments of every launch file; their defaults, where files differ, are given."""
+    files = {'robot': 'robot.yaml', 'controller': controller, 'trajectory': 'sinusoid.yaml'}
     return [
-        DeclareLaunchArgument('robot', default_value=config('robot.yaml'),
-                              description='Parameter file of the robot'),
-        DeclareLaunchArgument('controller', default_value=config(controller),
-                              description='Parameter file of the controller'),
-        DeclareLaunchArgument('trajectory', default_value=config('sinusoid.yaml'),
-                              description='Parameter file of the trajectory'),
+        *(DeclareLaunchArgument(name, default_value=config(file),
+                                description=f'Parameter file of the {name}')
+          for name, file in files.items()),
         DeclareLaunchArgument('bridge', default_value=bridge,
                               description='Parameter file of the bridge to a real robot; empty '
                                           'simulates the robot'),
