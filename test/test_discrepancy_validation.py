@@ -19,6 +19,8 @@ from gms_flex_control.discrepancy.validation import (
     Gain,
     gain_of,
     gain_over,
+    innovation_cost,
+    memory_of,
     of_blocks,
     prediction_cost,
     steps,
@@ -84,8 +86,30 @@ def test_prediction_one_sample_ahead_is_no_better_with_less_torque_of_everything
     less = robot
     for joint in robot.joints:
         less = with_effect(less, EffectSpec(name='torque_gain', joint=joint, values=(-0.3,)))
-    own, other = prediction_cost(likelihood, [(robot, 0.0 * x), (less, x)], 'arm')
+    own, other = prediction_cost(likelihood, [(robot, 0.0 * x), (less, x)])
     assert own < other
+
+
+def test_the_cost_of_prediction_is_that_of_least_squares_on_earlier_errors():
+    """Gaps in the recording left out, earlier errors of both channels written out."""
+    rng, memory = np.random.default_rng(5), memory_of(0.01)
+    errors = np.cumsum(rng.standard_normal((600, 2)), axis=0) @ [[1.0, 0.3], [0.0, 1.0]]
+    usable = np.ones(600, dtype=bool)
+    usable[[0, 1, 200, 377]] = False
+    rows = np.array([r for r in range(memory, 600) if usable[r - memory:r + 1].all()])
+    before = np.hstack([errors[rows - k] for k in range(1, memory + 1)])
+    left = errors[rows] - before @ np.linalg.lstsq(before, errors[rows], rcond=None)[0]
+    assert innovation_cost(errors, usable, 0.01) == pytest.approx(
+        len(rows) * np.log(np.linalg.det(np.cov(left.T, bias=True)
+                                         + np.outer(left.mean(0), left.mean(0)))), rel=1e-6)
+
+
+def test_a_joint_is_predicted_from_earlier_errors_of_the_joints_that_move_it():
+    """Known covariance of what is new: the second channel is 3 times the first's last value."""
+    new = np.random.default_rng(6).standard_normal((20000, 2)) * [1.0, 0.1]
+    errors = new + np.outer(np.roll(3.0 * new[:, 0], 1), [0.0, 1.0])
+    cost = innovation_cost(errors[1:], np.ones(19999, dtype=bool), 0.01)
+    assert cost / 19999 == pytest.approx(2.0 * np.log(0.1), abs=0.03)
 
 
 @pytest.mark.parametrize(('name', 'values'), [

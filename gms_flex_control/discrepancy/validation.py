@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control.data.signal_analysis import runs
 from gms_flex_control.discrepancy.fitting import numbers_of, steps_without
 from gms_flex_control.discrepancy.motion import at_full_rate
 from gms_flex_control.discrepancy.residuals import unexplained
@@ -118,15 +119,15 @@ def gain_over(gains, acts=slice(None)) -> Gain:
     return Gain(float(gains.sum()), float(own.mean() / max(spread, 1e-12)), len(own))
 
 
-def prediction_cost(likelihood, models, joint) -> np.ndarray:
+def prediction_cost(likelihood, models) -> np.ndarray:
     """
-    Return how badly models predict the equations of a joint, one sample ahead.
+    Return how badly models predict the equations of all joints, one sample ahead.
 
     A controller puts encoder noise, and its answer to the noise of the drives, into the torque: a
     late torque that makes more of that cancel looks better than the true one. No controller knows
     the noise of the next reading, though: errors of prediction are smallest for the true model,
-    loop closed or not (Ljung, System Identification, 2nd ed., 1999, section 13.4). How
-    each error depends on earlier ones is fitted with each model.
+    loop closed or not (Ljung, System Identification, 2nd ed., 1999, section 13.4). How each error
+    depends on earlier ones, of all joints as they move each other, is fitted with each model.
 
     Parameters
     ----------
@@ -134,8 +135,6 @@ def prediction_cost(likelihood, models, joint) -> np.ndarray:
         With the recordings.
     models : sequence of (RobotParams, ndarray)
         Robots and their nuisance parameters (P,).
-    joint : str
-        Whose equations; 'arm' for all.
 
     Returns
     -------
@@ -144,19 +143,15 @@ def prediction_cost(likelihood, models, joint) -> np.ndarray:
         zero where recordings are too short.
 
     """
-    n, joints = likelihood.robot.n_joints, likelihood.robot.joints
-    at = [joints.index(joint)] if joint in joints else list(range(n))
-    costs = np.zeros(len(models))
+    n, costs = likelihood.robot.n_joints, np.zeros(len(models))
     for motion in likelihood.motions:
         fine = at_full_rate(motion)
         for i, (robot, x) in enumerate(models):
             (acted,), constants = likelihood.acted([fine], robot, x)
-            left = unexplained(acted, constants)
-            for j in at:
-                own = left[:, [j, n + j]]
-                there = np.any(own, axis=0)
-                errors = own / np.where(there, _inertia(acted, constants, own, j), 1.0)
-                costs[i] += _innovation_cost(errors[:, there], fine.settled, fine.period)
+            errors = unexplained(acted, constants)
+            there = np.any(errors, axis=0)
+            inertia = np.ravel([_inertia(acted, constants, errors, j) for j in range(n)], 'F')
+            costs[i] += innovation_cost((errors / inertia)[:, there], fine.settled, fine.period)
     return costs
 
 
@@ -164,14 +159,14 @@ def _inertia(motion, constants, left, joint):
     """
     Return by how much both equations of a joint change with its own accelerations, mean (2,).
 
-    So much less than ``left`` (S, 2) they are where these are more: errors of readings are those
+    So much less than ``left`` (S, 2 n) they are where these are more: errors of readings are those
     of equations divided by it.
     """
     second = motion.second.copy()
     second[:, :, joint] += 1.0
     more = unexplained(replace(motion, second=second, _kept={}), constants)
     n = len(motion.samples.joints)
-    return np.maximum(np.mean(more[:, [joint, n + joint]] - left, axis=0), _LEAST_INERTIA)
+    return np.maximum(np.mean((more - left)[:, [joint, n + joint]], axis=0), _LEAST_INERTIA)
 
 
 def memory_of(period) -> int:
@@ -179,15 +174,37 @@ def memory_of(period) -> int:
     return int(np.clip(_MEMORY / period, _FEWEST, _MOST))
 
 
-def _innovation_cost(left, usable, period):
-    """Return the cost of residuals (T, C) less what those before predict of them."""
-    memory = memory_of(period)
-    rows = np.flatnonzero(np.convolve(usable, np.ones(memory + 1), 'valid') > memory) + memory
-    size = left.shape[1] * memory
-    if len(rows) < _LEAST * size:
+def innovation_cost(errors: np.ndarray, usable: np.ndarray, period: float) -> float:
+    """Return the cost of errors (T, C) less what earlier ones predict, at ``usable`` samples."""
+    memory, count = memory_of(period), errors.shape[1]
+    size, used, gram = count * memory, 0, np.zeros((memory + 1, memory + 1, count, count))
+    for begin, end in runs(usable):
+        if end - begin > memory:
+            gram += _lagged_products(errors[begin:end], memory)
+            used += end - begin - memory
+    if used < _LEAST * size:
         return 0.0
-    before = np.concatenate([left[rows - k] for k in range(1, memory + 1)], axis=1)
-    gram, now = before.T @ before, left[rows]
-    gram.flat[::size + 1] += _RIDGE * np.trace(gram) / size
-    errors = now - before @ np.linalg.solve(gram, before.T @ now)
-    return len(rows) * np.linalg.slogdet(errors.T @ errors / len(rows))[1]
+    gram = gram.transpose(0, 2, 1, 3).reshape(size + count, size + count)
+    now, before, both = gram[:count, :count], gram[count:, count:], gram[count:, :count]
+    before = before + _RIDGE * np.trace(before) / size * np.eye(size)
+    return used * np.linalg.slogdet(
+        (now - both.T @ np.linalg.solve(before, both)) / used)[1]
+
+
+def _lagged_products(errors, memory):
+    """
+    Return sums of products of errors (T, C) some samples before, and others, (K, K, C, C).
+
+    Over all samples that have ``memory`` others before. One sample earlier on both sides the sum
+    has one product more at its beginning and one less at its end.
+    """
+    now, (length, count) = errors[memory:], errors.shape
+    sums = np.empty((memory + 1, memory + 1, count, count))
+    for k in range(memory + 1):
+        sums[0, k] = now.T @ errors[memory - k:length - k]
+        sums[k, 0] = sums[0, k].T
+    first, last = errors[memory - 1::-1], errors[:-memory - 1:-1]
+    for k in range(memory):
+        sums[k + 1, 1:] = sums[k, :-1] + (first[k, :, None] * first[:, None]
+                                          - last[k, :, None] * last[:, None])
+    return sums

@@ -95,7 +95,7 @@ def _predicts(likelihood, found, spec, less):
     """Return whether an effect makes prediction one sample ahead better."""
     model = found.best.model
     with_it, without_it = prediction_cost(
-        likelihood, [(model.robot, model.x), (less.robot, less.x)], spec.joint)
+        likelihood, [(model.robot, model.x), (less.robot, less.x)])
     return without_it - with_it > EVIDENCE + 2.0 * np.log(found.hypotheses)
 
 
@@ -159,7 +159,7 @@ def timed(likelihood, found) -> Found:
                 model.robot, effects=(*effects[:i], other, *effects[i + 1:])), model.x,
                 found.nuisances)
             own, instead = prediction_cost(likelihood, [
-                (one.robot, one.x) for one in (model, swapped)], spec.joint)
+                (one.robot, one.x) for one in (model, swapped)])
             if instead < own - EVIDENCE - 2.0 * np.log(found.hypotheses):
                 best = state_of(likelihood, swapped, columns, found.hypotheses)
                 found = found._replace(best=best, tried=(best, *_tried_without(
