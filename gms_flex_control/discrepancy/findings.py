@@ -30,6 +30,14 @@ def as_given(likelihood, state, nuisances, but=()) -> State:
     return State(model, nuisances, own, -np.inf, farthest)
 
 
+def beside(likelihood, state, before) -> State:
+    """Return a State with its effects beside the known parameters of another, ``before``."""
+    robot = state.model.robot
+    model = likelihood.fitted(robot, np.where(likelihood.resting(robot), 0.0, before.model.x))
+    return State(model, before.nuisances, fitting.effect_columns(
+        likelihood, model, fitting.numbers_of(likelihood, robot)), -np.inf, before.plausible)
+
+
 def judged(likelihood, found, functions) -> tuple:
     """
     Return the search's end with effects that are real alone, their Worths, and what is left.

@@ -13,6 +13,7 @@ from gms_flex_control.discrepancy.evidence import credible, doubted, posterior
 from gms_flex_control.discrepancy.fast_ripple import fast_ripples, with_ripples
 from gms_flex_control.discrepancy.findings import (
     as_given,
+    beside,
     finding_of,
     findings_of,
     joints_left,
@@ -270,12 +271,12 @@ def _written(likelihood, found, larger, held_out, further, named):
     first is that with the effects found, if they are ``named`` (dict of key to whether it is
     main) or explain more than they leave, unless another is clearly better: with fewer, with such
     as only resemble what is missing (``larger``, a Found), or ``further`` States. Parameters are
-    re-tuned, or if that may not be written as given (all, or all but those of the joints with
-    effects that are ``named``), or else with fewer of the effects. None is written that predicts
-    torque, the drive's torque or free runs worse than the model as given, which may have been
-    fitted to the blocks left out, or effects worse than the same parameters re-tuned alone; where
-    one of them is main, not by what matters, and not clearly. A known parameter beyond its prior
-    takes no effect's place: it is a wrong belief.
+    re-tuned, or if that may not be written re-tuned without effects or as given (all, or all but
+    those of the joints with effects that are ``named``), or else with fewer of the effects. None
+    is written that predicts torque, the drive's torque or free runs worse than the model as given,
+    which may have been fitted to the blocks left out, or effects worse than the same parameters
+    re-tuned alone; where one of them is main, not by what matters, and not clearly. A known
+    parameter beyond its prior takes no effect's place: it is a wrong belief.
     """
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
@@ -303,10 +304,10 @@ def _written(likelihood, found, larger, held_out, further, named):
     wholes = [(found.best, found.before)] if is_written(found.best) else []
     if found.best.key(known) and not wholes:
         of_named = {joint for _, joint in named if joint in likelihood.robot.joints}
-        for but in ((), of_named):
-            one, alone = (as_given(likelihood, state, found.nuisances, but)
-                          for state in (found.best, found.before))
-            wholes += [(one, alone)] if is_written(one, alone) else []
+        pairs = [(beside(likelihood, found.best, found.before), found.before), *(
+            tuple(as_given(likelihood, state, found.nuisances, but)
+                  for state in (found.best, found.before)) for but in ((), of_named))]
+        wholes += [pair for pair in pairs if is_written(*pair)]
     if found.best.key(known) and not wholes:
         parts = islice(subsets(likelihood, found, held_out, lambda state: as_given(
             likelihood, state, found.nuisances)), _SIZES)
