@@ -88,10 +88,24 @@ def test_an_effect_is_written_beside_known_parameters_as_given(monkeypatch):
     beside = state_of_errors((0.5, 1.0), (0.5, 1.0), effect)
     monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): (
         given if state is tuned else beside))
+    monkeypatch.setattr(workflow, 'beside', lambda likelihood, state, before: best)
+    assert written_of(tuned, best, effect) == (beside, given)
+
+
+def test_an_effect_that_held_out_data_do_not_touch_is_written(monkeypatch):
+    """Parameters fitted with it predict free runs worse by chance; those without it do not."""
+    effect = ('end_stop', 'a')
+    given, tuned = state_of_errors((1.0, 1.0), (1.5, 1.5)), state_of_errors((0.9, 0.9), (1.0, 1.0))
+    best = state_of_errors((0.9, 0.9), (1.1, 1.1), effect)
+    untouched = state_of_errors((0.9, 0.9), (1.0, 1.0), effect)
+    monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): given)
+    monkeypatch.setattr(workflow, 'beside', lambda likelihood, state, before: untouched)
+    assert written_of(tuned, best, effect) == (untouched, tuned)
+
+
+def written_of(before, best, effect):
+    """Return what is written of a search's end, and the same without effects."""
     likelihood = SimpleNamespace(known=0, sd=np.ones(1), coulomb=np.ones(2),
                                  robot=SimpleNamespace(joints=('a', 'b')))
-    found = SimpleNamespace(before=tuned, best=best, nuisances=None, tried=())
-    written, without = workflow._written(likelihood, found, found, Known(likelihood), [],
-                                         {effect: True})
-    assert written is beside
-    assert without is given
+    found = SimpleNamespace(before=before, best=best, nuisances=None, tried=())
+    return workflow._written(likelihood, found, found, Known(likelihood), [], {effect: True})

@@ -268,6 +268,7 @@ def test_an_effect_matters_that_other_recordings_do_not_touch(angle, stiffness, 
     assert result.verdict == FOUND, result.words
     assert [one.key for one in result.findings] == [one.key for one in result.added] == [
         stop.key]
+    assert 'The held-out motion hardly meets what was found' in result.words
 
 
 def test_what_differs_between_recordings_is_no_effect():

@@ -4,6 +4,7 @@
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
+from gms_flex_control.discrepancy.thresholds import WORSE
 from gms_flex_control.effects.registry import find, in_words, names
 import numpy as np
 
@@ -224,7 +225,17 @@ def _gap(result):
         f'{angle.text(floor)})'
         for before, after, floor in zip(gap.free_before, gap.free_after, gap.free_floor,
                                         strict=True))
-    return f'{text}; errors of free runs of half a second are {runs}.'
+    return f'{text}; errors of free runs of half a second are {runs}.{_untouched(result)}'
+
+
+def _untouched(result):
+    """Return a sentence if what was added hardly acts on held-out data, else ''."""
+    gap = result.gap
+    acts = any(np.any(np.abs(after - before) > WORSE * before) for before, after in (
+        (gap.retuned, gap.after), (gap.free_before, gap.free_after)))
+    return '' if acts or not result.added else (
+        ' The held-out motion hardly meets what was found; hold out one that does to see the gap '
+        'shrink.')
 
 
 def _noise(result):
