@@ -130,7 +130,7 @@ class EndStop(Term):
     def guesses(scales) -> list:
         """Return stops a little inside the range that was travelled, either side of zero."""
         span, stiffness = scales.travel.span, scales.friction / 0.05
-        inside = span * np.geomspace(0.02, 0.18, 6)  # a fit converges from within a third
+        inside = span * np.geomspace(0.02, 0.18, 5)  # a fit converges from within a third
         above, below = scales.travel.highest - inside, scales.travel.lowest + inside
         return [Guess(((angle, stiffness),), lambda c, angle=angle: (angle, c[0] * stiffness), 0.0)
                 for angle in (*above[above > 0.0], *below[below < 0.0])]
