@@ -31,8 +31,63 @@ SILENCE_BOUND, STOP_BOUND, STATE_TIMEOUT = 0.1, 0.02, 0.3  # [s]
 GUARDED = 0.15  # the guardian waits for 50 ms [s]
 
 
+def test_an_exception_is_one_traceback_zero_torque_and_a_fault(tmp_path):
+    """The function raises once, some seconds after the start, and the bridge can go on."""
+    place = 'gms_flex_control.hardware.bridge:Bridge.take_command'
+    with bridge_lab(tmp_path, plant=broken_node.command('plant_node', place, 700)) as lab:
+        lab.tracebacks = 1
+        lab.until(lambda: lab.efforts and lab.states)
+        said = f'on_command raised RuntimeError: {broken_node.SENTENCE}'
+        lab.until(lambda: said in move_on(lab))
+        lab.until(lambda: not any(lab.efforts.last))
+        assert lab.plant.printed().count('Traceback') == 1
+        move(lab)
+
+
+def test_efforts_go_out_as_joint_states_as_well_and_end_in_zero(tmp_path):
+    """
+    By the names of the robot's actuators; the guardian ends them as it ends the array.
+
+    It has the priority of the bridge, which reports another program that sends efforts.
+    """
+    mapping = MAPPING.replace('effort: {sign', 'effort: {name: m1, sign').replace(
+        'motor: {name: m2}', 'motor: {name: m2}\n    effort: {name: m2}')
+    with bridge_lab(tmp_path, mapping=mapping, bridge__command_type='both',
+                    realtime_priority=1) as lab:
+        commands = lab.listen(JointState, '/robot/joint_commands')
+        lab.until(lambda: lab.efforts and lab.states)
+        move(lab)
+        lab.more(commands, 100)
+        sent = {tuple(data) for _, data in lab.efforts}
+        named = [command for command in commands[:-10] if any(command.effort)]
+        assert named and all(list(command.name) == ['m2', 'm1'] for command in named)
+        # either topic may lose a message in a process that is late
+        assert np.mean([tuple(command.effort) in sent for command in named]) > 0.8
+        assert all(to_nanoseconds(command.header.stamp) > 0 for command in named)
+        lab.speak(Float64MultiArray, EFFORTS)
+        lab.until(lambda: f'1 more publish on {EFFORTS} and ' in lab.plant.printed())
+        children = Path(f'/proc/{lab.plant.process.pid}/task').glob('*/children')
+        guardian, = {int(pid) for file in children for pid in file.read_text().split()}
+        lab.until(lambda: 'no realtime_priority 1' in lab.plant.printed()
+                  or os.sched_getscheduler(guardian) == os.SCHED_FIFO)
+        lab.plant.process.send_signal(signal.SIGKILL)
+        lab.until(lambda: not any(commands[-1].effort))
+        lab.plant.kill()
+
+
+def move_on(lab):
+    """Let the robot move until the next fault and return what the plant has printed."""
+    if not fault_of(lab):
+        ask(lab, 'reset')
+        ask(lab, 'enable')
+        ask(lab, '/trajectory/start')
+    else:
+        del lab.reports[:]
+    return lab.plant.printed()
+
+
 @pytest.fixture(scope='module')
-def lab(tmp_path_factory):
+def lab(tmp_path_factory):  # behind tests without it, which it would slow down
     """Run robot, bridge, controller and trajectory."""
     with bridge_lab(tmp_path_factory.mktemp('bridge')) as running:
         running.button = running.speak(Bool, '/emergency_stop')
@@ -176,58 +231,3 @@ def test_a_killed_bridge_leaves_zero(lab):
     lab.plant.kill()
     lab.plant = lab.start('plant_node.last', files=lab.files, **lab.given)
     lab.until(lambda: 'ZERO' in lab.plant.printed())
-
-
-def test_an_exception_is_one_traceback_zero_torque_and_a_fault(tmp_path):
-    """The function raises once, some seconds after the start, and the bridge can go on."""
-    place = 'gms_flex_control.hardware.bridge:Bridge.take_command'
-    with bridge_lab(tmp_path, plant=broken_node.command('plant_node', place, 700)) as lab:
-        lab.tracebacks = 1
-        lab.until(lambda: lab.efforts and lab.states)
-        said = f'on_command raised RuntimeError: {broken_node.SENTENCE}'
-        lab.until(lambda: said in move_on(lab))
-        lab.until(lambda: not any(lab.efforts.last))
-        assert lab.plant.printed().count('Traceback') == 1
-        move(lab)
-
-
-def test_efforts_go_out_as_joint_states_as_well_and_end_in_zero(tmp_path):
-    """
-    By the names of the robot's actuators; the guardian ends them as it ends the array.
-
-    It has the priority of the bridge, which reports another program that sends efforts.
-    """
-    mapping = MAPPING.replace('effort: {sign', 'effort: {name: m1, sign').replace(
-        'motor: {name: m2}', 'motor: {name: m2}\n    effort: {name: m2}')
-    with bridge_lab(tmp_path, mapping=mapping, bridge__command_type='both',
-                    realtime_priority=1) as lab:
-        commands = lab.listen(JointState, '/robot/joint_commands')
-        lab.until(lambda: lab.efforts and lab.states)
-        move(lab)
-        lab.more(commands, 100)
-        sent = {tuple(data) for _, data in lab.efforts}
-        named = [command for command in commands[:-10] if any(command.effort)]
-        assert named and all(list(command.name) == ['m2', 'm1'] for command in named)
-        # either topic may lose a message in a process that is late
-        assert np.mean([tuple(command.effort) in sent for command in named]) > 0.8
-        assert all(to_nanoseconds(command.header.stamp) > 0 for command in named)
-        lab.speak(Float64MultiArray, EFFORTS)
-        lab.until(lambda: f'1 more publish on {EFFORTS} and ' in lab.plant.printed())
-        children = Path(f'/proc/{lab.plant.process.pid}/task').glob('*/children')
-        guardian, = {int(pid) for file in children for pid in file.read_text().split()}
-        lab.until(lambda: 'no realtime_priority 1' in lab.plant.printed()
-                  or os.sched_getscheduler(guardian) == os.SCHED_FIFO)
-        lab.plant.process.send_signal(signal.SIGKILL)
-        lab.until(lambda: not any(commands[-1].effort))
-        lab.plant.kill()
-
-
-def move_on(lab):
-    """Let the robot move until the next fault and return what the plant has printed."""
-    if not fault_of(lab):
-        ask(lab, 'reset')
-        ask(lab, 'enable')
-        ask(lab, '/trajectory/start')
-    else:
-        del lab.reports[:]
-    return lab.plant.printed()

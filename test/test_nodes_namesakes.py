@@ -20,8 +20,49 @@ def start(lab, name, number='', **parameters):
                      trajectory__autostart=True, **parameters)
 
 
+@pytest.mark.parametrize('name', THREE)
+def test_of_two_that_start_at_once_one_is_left(tmp_path, name):
+    with Lab(tmp_path) as lab:
+        both = [start(lab, name, number) for number in 'ab']
+        lab.until(lambda: not all(process.runs for process in both))
+        lab.until(lambda: sum(process.runs for process in both) == 1)
+        ended, = (process for process in both if not process.runs)
+        left, = (process for process in both if process.runs)
+        assert ended.wait() == 2 and len(re.findall(RUNS, ended.printed())) == 1
+        assert f'process {left.process.pid} on' in ended.printed()
+        heard = lab.listen(DiagnosticArray, '/diagnostics')
+        lab.more(heard, 2)
+        assert left.runs
+
+
+def test_a_node_that_was_killed_stands_in_nobodys_way(tmp_path):
+    with Lab(tmp_path) as lab:
+        states = lab.hear('states')
+        first = start(lab, 'plant_node')
+        lab.until(lambda: states)
+        first.kill()
+        second = start(lab, 'plant_node', 'again')
+        lab.more(states, 200)
+        assert second.runs
+
+
+@pytest.mark.flaky(reruns=2)  # a machine too busy discovers the first too late
+def test_a_second_bridge_leaves_the_torque_of_the_first_alone(tmp_path):
+    with bridge_lab(tmp_path, silence_timeout=1.0, bridge__state_timeout=1.0) as lab:
+        enable(lab)
+        publishers = lab.node.count_publishers(EFFORTS)
+        second = lab.start('plant_node.second', files=lab.files, **lab.given)
+        most = []
+        lab.until(lambda: most.append(lab.node.count_publishers(EFFORTS)) or not second.runs)
+        assert second.wait() == 2 and re.search(RUNS, second.printed())
+        assert max(most) == publishers  # neither a bridge nor a guardian came
+        lab.more(lab.efforts, 50)
+        assert lab.plant.runs
+        assert ' at once' not in fault_of(lab)  # a busy machine may make other faults
+
+
 @pytest.fixture(scope='module')
-def lab(tmp_path_factory):
+def lab(tmp_path_factory):  # behind tests without it, which it would slow down
     """Run the loop along its sinusoid."""
     with Lab(tmp_path_factory.mktemp('namesakes')) as running:
         running.first = [start(running, name) for name in THREE]
@@ -76,44 +117,3 @@ def test_reports_of_others_and_broken_ones_end_nothing(lab):
     lab.more(lab.states, 100)
     assert all(process.runs for process in lab.first)
     assert not any('FAULT' in process.printed() for process in lab.first)
-
-
-@pytest.mark.parametrize('name', THREE)
-def test_of_two_that_start_at_once_one_is_left(tmp_path, name):
-    with Lab(tmp_path) as lab:
-        both = [start(lab, name, number) for number in 'ab']
-        lab.until(lambda: not all(process.runs for process in both))
-        lab.until(lambda: sum(process.runs for process in both) == 1)
-        ended, = (process for process in both if not process.runs)
-        left, = (process for process in both if process.runs)
-        assert ended.wait() == 2 and len(re.findall(RUNS, ended.printed())) == 1
-        assert f'process {left.process.pid} on' in ended.printed()
-        heard = lab.listen(DiagnosticArray, '/diagnostics')
-        lab.more(heard, 2)
-        assert left.runs
-
-
-def test_a_node_that_was_killed_stands_in_nobodys_way(tmp_path):
-    with Lab(tmp_path) as lab:
-        states = lab.hear('states')
-        first = start(lab, 'plant_node')
-        lab.until(lambda: states)
-        first.kill()
-        second = start(lab, 'plant_node', 'again')
-        lab.more(states, 200)
-        assert second.runs
-
-
-@pytest.mark.flaky(reruns=2)  # a machine too busy discovers the first too late
-def test_a_second_bridge_leaves_the_torque_of_the_first_alone(tmp_path):
-    with bridge_lab(tmp_path, silence_timeout=1.0, bridge__state_timeout=1.0) as lab:
-        enable(lab)
-        publishers = lab.node.count_publishers(EFFORTS)
-        second = lab.start('plant_node.second', files=lab.files, **lab.given)
-        most = []
-        lab.until(lambda: most.append(lab.node.count_publishers(EFFORTS)) or not second.runs)
-        assert second.wait() == 2 and re.search(RUNS, second.printed())
-        assert max(most) == publishers  # neither a bridge nor a guardian came
-        lab.more(lab.efforts, 50)
-        assert lab.plant.runs
-        assert ' at once' not in fault_of(lab)  # a busy machine may make other faults

@@ -9,20 +9,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 LIMITS = {'limits__joint1__torque': 0.05, 'limits__joint2__upper': 0.3,
           'limits__joint2__position_margin': 0.05}
-
-
-@pytest.fixture(scope='module')
-def lab(tmp_path_factory):
-    """Run a limited plant alone; the test commands it."""
-    with Lab(tmp_path_factory.mktemp('safety')) as running:
-        running.plant = running.start('plant_node', files=MOTION,
-                                      rate=200.0, silence_timeout=1.0, hold_services=[], **LIMITS)
-        running.clients = {}
-        running.states = running.hear('states')
-        running.commands = running.say('commands')
-        running.until(lambda: running.states and running.commands.get_subscription_count())
-        yield running
-        assert running.plant.runs
+RATE = 500.0
+THREE = ('plant_node', 'controller_node', 'trajectory_node')
 
 
 def push(lab, torque, condition):
@@ -36,35 +24,6 @@ def push(lab, torque, condition):
                                                'source:/test'))
         return condition(list(lab.states[-1].effort[2:]))
     lab.until(pushed)
-
-
-def test_torque_is_limited_and_ends_and_begins_by_service(lab):
-    push(lab, [0.5, 0.02], lambda effort: effort == pytest.approx([0.05, 0.02]))
-    assert ask(lab, 'disable').message == 'ZERO'
-    push(lab, [0.5, 0.02], lambda effort: effort == [0.0, 0.0])
-    assert ask(lab, 'enable').success
-    push(lab, [-0.5, 0.02], lambda effort: effort == pytest.approx([-0.05, 0.02]))
-
-
-def test_an_emergency_stop_lasts_until_reset_and_enable(lab):
-    assert 'emergency stop by service' in ask(lab, 'emergency_stop').message
-    push(lab, [0.05, 0.02], lambda effort: not any(effort))
-    assert not ask(lab, 'enable').success
-    assert ask(lab, 'reset').success
-    begin = len(lab.states)
-    push(lab, [0.05, 0.02], lambda effort: len(lab.states) > begin + 40)
-    assert not any(any(state.effort[2:]) for state in lab.states[begin + 1:])
-    assert ask(lab, 'enable').success
-    push(lab, [0.05, 0.02], any)
-
-
-def test_a_joint_pushed_beyond_its_range_is_a_fault_and_outward_torque_is_zero_before(lab):
-    push(lab, [0.0, 0.4], lambda effort: 'joint2 is at 0.3' in lab.plant.printed())
-    assert 'FAULT: joint2 is at 0.3' in lab.plant.printed()
-    beyond = [state.effort[3] for before, state in zip(lab.states, lab.states[1:], strict=False)
-              if before.position[1] >= 0.3]
-    assert beyond and not any(beyond)
-    push(lab, [0.0, -0.1], lambda effort: not any(effort))  # latched
 
 
 def test_a_range_left_during_a_silence_is_a_fault_that_outlasts_the_silence(tmp_path):
@@ -82,10 +41,6 @@ def test_a_range_left_during_a_silence_is_a_fault_that_outlasts_the_silence(tmp_
         push(lab, [0.0, -0.1], lambda _: len(lab.states) > begin + 60)
         assert not any(any(state.effort[2:]) for state in lab.states[begin:])
         assert 'commands come again' not in lab.plant.printed()
-
-
-RATE = 500.0
-THREE = ('plant_node', 'controller_node', 'trajectory_node')
 
 
 @pytest.fixture(params=[THREE, ('loop_node',)], ids=['three processes', 'one process'])
@@ -154,3 +109,46 @@ def test_points_are_refused_while_no_torque_flows(moving):
         return any('joint trajectory refused: no torque flows (ZERO: disabled): call '
                    '/plant/enable first' in process.printed() for process in lab.processes)
     lab.until(refused)
+
+
+@pytest.fixture(scope='module')
+def lab(tmp_path_factory):  # behind tests without it, which it would slow down
+    """Run a limited plant alone; the test commands it."""
+    with Lab(tmp_path_factory.mktemp('safety')) as running:
+        running.plant = running.start('plant_node', files=MOTION,
+                                      rate=200.0, silence_timeout=1.0, hold_services=[], **LIMITS)
+        running.clients = {}
+        running.states = running.hear('states')
+        running.commands = running.say('commands')
+        running.until(lambda: running.states and running.commands.get_subscription_count())
+        yield running
+        assert running.plant.runs
+
+
+def test_torque_is_limited_and_ends_and_begins_by_service(lab):
+    push(lab, [0.5, 0.02], lambda effort: effort == pytest.approx([0.05, 0.02]))
+    assert ask(lab, 'disable').message == 'ZERO'
+    push(lab, [0.5, 0.02], lambda effort: effort == [0.0, 0.0])
+    assert ask(lab, 'enable').success
+    push(lab, [-0.5, 0.02], lambda effort: effort == pytest.approx([-0.05, 0.02]))
+
+
+def test_an_emergency_stop_lasts_until_reset_and_enable(lab):
+    assert 'emergency stop by service' in ask(lab, 'emergency_stop').message
+    push(lab, [0.05, 0.02], lambda effort: not any(effort))
+    assert not ask(lab, 'enable').success
+    assert ask(lab, 'reset').success
+    begin = len(lab.states)
+    push(lab, [0.05, 0.02], lambda effort: len(lab.states) > begin + 40)
+    assert not any(any(state.effort[2:]) for state in lab.states[begin + 1:])
+    assert ask(lab, 'enable').success
+    push(lab, [0.05, 0.02], any)
+
+
+def test_a_joint_pushed_beyond_its_range_is_a_fault_and_outward_torque_is_zero_before(lab):
+    push(lab, [0.0, 0.4], lambda effort: 'joint2 is at 0.3' in lab.plant.printed())
+    assert 'FAULT: joint2 is at 0.3' in lab.plant.printed()
+    beyond = [state.effort[3] for before, state in zip(lab.states, lab.states[1:], strict=False)
+              if before.position[1] >= 0.3]
+    assert beyond and not any(beyond)
+    push(lab, [0.0, -0.1], lambda effort: not any(effort))  # latched
