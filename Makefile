@@ -29,7 +29,7 @@ demo-next: .venv/.with-ros  ## Leave two names, design and drive the motion that
 	@$(BIN)/python -m bench demo-next --out demo_next_output
 
 test: lint  ## Run the linters, the tests and a colcon build
-	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	@$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 test-bench: .venv/.with-test  ## Run the tests of the bench, with its demos over ROS 2
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder bench/test

@@ -21,13 +21,22 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else []
 
 
-NODES = ('nodes', 'demo', 'colcon', 'sros2')  # in the names of files; and all that are flaky
+NODES = ('nodes', 'demo', 'colcon', 'sros2', 'view_browser')  # in the names of files
 # tests of real nodes are repeated, as other processes of the machine can delay nodes beyond any
 # bound; not those of a process without nodes, of bits that agree, of files that are refused
 REPEATED = ('nodes_', 'view_live', 'faults', 'soak')
 ONCE = [f'test_nodes_{name}' for name in (
     'experiment_watch', 'files', 'following', 'foresight', 'joint_trajectory', 'launch',
     'lockstep', 'scheduling', 'sros2', 'trajectory')]
+WORKER = os.environ.get('PYTEST_XDIST_WORKER', '')
+NODES_APART = 3  # processes of tests, from which on the last has the nodes
+
+
+def has_nodes(path):
+    """Return whether a file of tests starts real nodes, or compiles for them."""
+    name = Path(path).stem.removeprefix('test_')
+    return (name in WITH_NODES or name.startswith(REPEATED)
+            or any(word in name for word in NODES))
 
 
 def pytest_configure():
@@ -40,6 +49,29 @@ def pytest_configure():
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """
+    Give files with nodes to the last of three processes, others to the rest, while there are such.
+
+    Nodes mostly wait. Two processes that compute use both cores meanwhile, and no nodes run
+    beside nodes.
+    """
+    if config.getoption('dist') != 'loadfile' or len(config.option.tx) < NODES_APART:
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class NodesApart(LoadFileScheduling):
+        def _assign_work_unit(self, node):
+            last = node.gateway.id == f'gw{self.numnodes - 1}'
+            fitting = next((file for file in self.workqueue if has_nodes(file) == last), None)
+            if fitting is not None:
+                self.workqueue.move_to_end(fitting, last=False)
+            super()._assign_work_unit(node)
+
+    return NodesApart(config, log)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
     """
@@ -49,11 +81,10 @@ def pytest_runtest_setup(item):
     """
     if getattr(item, 'execution_count', 1) > 1:
         _begin_anew(item)
-    worker = os.environ.get('PYTEST_XDIST_WORKER', '')
-    if not worker or len(CORES) < 2:
+    if not WORKER or len(CORES) < 2:
         return
-    own = CORES[int(worker.removeprefix('gw')) % len(CORES)]
-    nodes = item.get_closest_marker('flaky') or any(word in item.path.stem for word in NODES)
+    own = CORES[int(WORKER.removeprefix('gw')) % len(CORES)]
+    nodes = item.get_closest_marker('flaky') or has_nodes(item.path)
     os.sched_setaffinity(0, CORES if nodes else [own])
 
 
