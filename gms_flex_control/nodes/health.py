@@ -33,6 +33,8 @@ _DIGITS = 20      # of such a time, at most
 # what it took to make the node, which takes the longer the busier the machine is
 _DISCOVERY, _BUSY = 0.4, 3.0
 _ANSWER = 0.1     # where this process has been discovered before [s]
+# of others that are just being discovered: so long after the last step of it, at most in all
+_STEP, _STEPS = 0.2, 2.0  # [s]
 _ASK_PERIOD = 0.02  # between questions for it [s]
 _ENDLESS = 2**62  # the graph reports a duration that was never set as about this or more [ns]
 
@@ -244,12 +246,20 @@ class Namesakes:
         self._starting, node.direct.known = False, True
 
     def _ask(self, patience):
-        take, end = self._subscription.handle.take_message, time.monotonic() + patience
-        while time.monotonic() < end:
+        take, begin = self._subscription.handle.take_message, time.monotonic()
+        end, known = begin + patience, self._known_of_others()
+        while (moment := time.monotonic()) < end:
             self.say()
+            if (more := self._known_of_others()) != known:
+                known, end = more, max(end, min(moment + _STEP, begin + _STEPS))
             time.sleep(_ASK_PERIOD)
             while (taken := take(DiagnosticArray, True)) is not None:
                 self._hear(taken[0])
+
+    def _known_of_others(self):
+        """Return what changes step by step as others are discovered, before they answer."""
+        return (self._node.count_publishers(DIAGNOSTICS),
+                self._publisher.get_subscription_count(), len(self._node.get_node_names()))
 
     def say(self, level=DiagnosticStatus.OK, sentence='starting', figures=None) -> DiagnosticArray:
         """Publish how the node is, and since when its process runs it; return the message."""
