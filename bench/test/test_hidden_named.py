@@ -54,6 +54,17 @@ def test_a_delay_is_no_lag_when_noise_is_simulated_with_it():
         spec.key for spec in case.truth.effects}, result.words
 
 
+def test_a_stop_that_is_met_once_is_found_where_it_begins():
+    """Fits that begin too deep or too shallow end at half the stiffness, beside what is left."""
+    case = make_case('double', 2400)
+    result = find_discrepancy([case.recording], case.nominal)
+    hidden = {spec.key: spec.values for spec in case.truth.effects}
+    assert {(one.effect, one.joint) for one in result.findings} == set(hidden), result.words
+    stop, = (one for one in result.findings if one.effect == 'end_stop')
+    np.testing.assert_allclose([value.value for value in stop.values],
+                               hidden[stop.effect, stop.joint], rtol=0.05)
+
+
 def test_a_term_for_parameters_believed_a_little_wrong_is_none():
     """As believed, a spring 3 % off lacks a torque over torsion; re-tuned, the robot does not."""
     case = make_case('clean', 206, duration=20.0)
