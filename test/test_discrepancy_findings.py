@@ -2,9 +2,10 @@
 """Which effects only resemble what is there, and what could stand in an effect's place."""
 
 from types import SimpleNamespace
+from typing import NamedTuple
 
 from bench.hidden_robots.cases import make_case
-from gms_flex_control.discrepancy import workflow
+from gms_flex_control.discrepancy import findings, workflow
 from gms_flex_control.discrepancy.findings import evidence_shares
 from gms_flex_control.discrepancy.gap import Errors, HeldOut
 from gms_flex_control.discrepancy.remainder import Free
@@ -101,6 +102,31 @@ def test_an_effect_that_held_out_data_do_not_touch_is_written(monkeypatch):
     monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): given)
     monkeypatch.setattr(workflow, 'beside', lambda likelihood, state, before: untouched)
     assert written_of(tuned, best, effect) == (untouched, tuned)
+
+
+def test_as_many_other_effects_are_taken_if_they_predict_far_better(monkeypatch):
+    """Motion that always loads one flank does not separate play from an offset; other does."""
+    stop, play, offset = (('end_stop', 'b'), ('backlash', 'a'), ('spring_offset', 'a'))
+    likely = [state_of_errors((9.0, 0.1), (1.0, 0.1), offset, stop),
+              state_of_errors((0.1, 0.1), (0.1, 0.1), play, stop),
+              state_of_errors((0.1, 2.0), (0.1, 1.0), play)]
+    for evidence, state in zip((-1.0, -2.0, -3.0), likely, strict=True):
+        state.evidence = evidence
+    monkeypatch.setattr(findings.worth, 'pruned', lambda likelihood, found: (found, [1, 2]))
+    likelihood = SimpleNamespace(known=0)
+    found, _ = findings._others(
+        likelihood, Found(likely[0], tuple(likely)), [1, 2], Known(likelihood))
+    assert found.best is likely[1]
+    found, _ = findings._others(
+        likelihood, Found(likely[1], tuple(likely)), [1, 2], Known(likelihood))
+    assert found.best is likely[1]
+
+
+class Found(NamedTuple):
+    """What a search ended with, of which only this is known."""
+
+    best: object
+    tried: tuple
 
 
 def written_of(before, best, effect):

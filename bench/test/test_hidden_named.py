@@ -65,6 +65,14 @@ def test_a_stop_that_is_met_once_is_found_where_it_begins():
                                hidden[stop.effect, stop.joint], rtol=0.05)
 
 
+def test_play_that_one_recording_shows_as_an_offset_is_play_in_another():
+    """Under gravity one flank carries always; the stop of the other joint stays named."""
+    case = make_case('double', 2400, population='gravity')
+    result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    assert {(one.effect, one.joint) for one in result.findings} == {
+        spec.key for spec in case.truth.effects}, result.words
+
+
 def test_a_term_for_parameters_believed_a_little_wrong_is_none():
     """As believed, a spring 3 % off lacks a torque over torsion; re-tuned, the robot does not."""
     case = make_case('clean', 206, duration=20.0)

@@ -88,7 +88,7 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
         if better is None:
             break
         found, worths = better
-    return _alone(likelihood, found, worths, held_out)
+    return _others(likelihood, found, worths, held_out)
 
 
 def limited(likelihood, state, limit) -> State:
@@ -145,14 +145,18 @@ def predicting_subset(likelihood, found, held_out) -> State:
     return min(found.best, best, key=held_out.energy)
 
 
-def _alone(likelihood, found, worths, held_out):
-    """Return the search's end with one effect alone if that predicts held-out data better."""
-    single = sorted((state for state in found.tried if len(state.key(likelihood.known)) == 1),
-                    key=lambda state: -state.evidence)[:_RUNNERS]
-    if not worths or not single:
-        return found, worths
-    best = min(single, key=held_out.energy)
-    if thresholds.BETTER * held_out.energy(best) > held_out.energy(found.best):
+def _others(likelihood, found, worths, held_out):
+    """
+    Return the search's end with one effect alone, or as many others, if that predicts far better.
+
+    What the motion that was fitted does not separate, another may.
+    """
+    likely = sorted((state for state in found.tried if np.isfinite(state.evidence)),
+                    key=lambda state: -state.evidence)
+    others = [state for size in {1, len(worths)} for state in [
+        one for one in likely if len(one.key(likelihood.known)) == size][:_RUNNERS]]
+    best = min(others, key=held_out.energy, default=found.best)
+    if not worths or thresholds.BETTER * held_out.energy(best) > held_out.energy(found.best):
         return found, worths
     other, others = worth.pruned(likelihood, found._replace(best=best))
     return (other, others) if others else (found, worths)
