@@ -15,9 +15,9 @@ from gms_flex_control.discrepancy.evidence import (
     state_of,
 )
 from gms_flex_control.discrepancy.fitting import extended
-from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums, with_effect
+from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums
 from gms_flex_control.effects.base import Scales, Travel
-from gms_flex_control.params.robot import EffectSpec, widened
+from gms_flex_control.params.robot import EffectSpec, widened, with_effect
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal

@@ -7,10 +7,9 @@ from bench.hidden_robots.cases import make_case
 from discrepancy_runs import likelihood_of
 from gms_flex_control.discrepancy.dictionary import allowed
 from gms_flex_control.discrepancy.fitting import is_at_limit, refitted, solve
-from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.effects.base import linear
 from gms_flex_control.effects.registry import bounds_of
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, with_effect
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, driven_motion, likelihood_of
 from gms_flex_control.discrepancy.fitting import fit, normal_equations
-from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
+from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.null_simulation import is_followed, null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, with_effect
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import driven_motion, likelihood_of, retuned_of
-from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
+from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.remainder import FreeFunctions
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
 from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, with_effect
 import numpy as np
 import pytest
 

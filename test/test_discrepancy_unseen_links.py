@@ -6,7 +6,6 @@ from dataclasses import replace
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, likelihood_of, retuned_of
 from gms_flex_control.discrepancy.fitting import with_white_noise
-from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import drive_torque, motion_as_modelled, unexplained
 from gms_flex_control.discrepancy.result import FOUND
@@ -14,7 +13,7 @@ from gms_flex_control.discrepancy.samples import with_links
 from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import find
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, with_effect
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest

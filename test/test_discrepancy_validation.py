@@ -11,7 +11,7 @@ from gms_flex_control.discrepancy import findings
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.fitting import extended, fit, foreseen
 from gms_flex_control.discrepancy.gap import Errors, free_rms, free_runs, HeldOut, torque_rms
-from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
+from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.discrepancy.validation import (
@@ -27,7 +27,7 @@ from gms_flex_control.discrepancy.validation import (
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.params.arm import at_last_link, Body, carrying
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, with_effect
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest

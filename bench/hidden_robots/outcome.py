@@ -13,11 +13,11 @@ from bench.hidden_robots.judgement import judged, ranked, RIGHT, WORKFLOW
 from gms_flex_control.discrepancy.evidence import state_of
 from gms_flex_control.discrepancy.fitting import refitted, retuned
 from gms_flex_control.discrepancy.gap import free_runs
-from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.search import count_of
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.params.robot import with_effect
 from gms_flex_control.simulation import plant
 import numpy as np
 

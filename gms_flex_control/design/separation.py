@@ -17,7 +17,7 @@ from gms_flex_control.design.motions import APPROACH, Candidate
 from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of, may_join
 from gms_flex_control.discrepancy.evidence import state_of
-from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, with_effect
+from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
@@ -26,7 +26,7 @@ from gms_flex_control.experiment.simulated import Plan, run_plan, to_recording
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import Body, carrying, together
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import EffectSpec, RobotParams
+from gms_flex_control.params.robot import EffectSpec, RobotParams, with_effect
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np

@@ -11,10 +11,9 @@ from typing import NamedTuple
 from gms_flex_control.data.signal_analysis import standing_out
 from gms_flex_control.discrepancy.evidence import NormalEquations
 from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
-from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.effects.base import Guess, HIGHEST_ORDER, Stage, Term
 from gms_flex_control.effects.registry import find, names
-from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
+from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM, with_effect
 import numpy as np
 
 _AT_BOUND = 0.99      # of what is plausible of a nuisance parameter: it can give no more

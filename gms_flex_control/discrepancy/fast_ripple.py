@@ -14,7 +14,6 @@ from typing import NamedTuple
 from gms_flex_control.data.signal_analysis import rms, standing_out
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.gap import HeldOut
-from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.motion import at_full_rate, filtered_alike, weight_of_neighbours
 from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.samples import encoder_step
@@ -23,7 +22,7 @@ from gms_flex_control.discrepancy.validation import Gain, gain_over, memory_of
 from gms_flex_control.effects.catalogue.drive import TorqueRipple
 from gms_flex_control.effects.registry import find
 from gms_flex_control.identification.prediction_error import FEWEST_WAVES
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, with_effect
 import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import minimum_filter1d

@@ -14,7 +14,7 @@ from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.evidence import State, state_of
 from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.learned_words import described, words_of
-from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
+from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
 from gms_flex_control.discrepancy.null_simulation import is_followed
@@ -23,7 +23,7 @@ from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, PLAUSIBLE
 from gms_flex_control.discrepancy.validation import gain_of
 from gms_flex_control.discrepancy.worth import plausible_limit
 from gms_flex_control.effects import learned as shapes
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, with_effect
 import numpy as np
 
 MOST_TERMS = 3        # that are learned of one robot

@@ -39,7 +39,7 @@ from gms_flex_control.discrepancy.torque_noise import drawn_noise
 from gms_flex_control.discrepancy.whitening import Band, Groups, WhitenedRecordings, Whitening
 from gms_flex_control.effects.base import Change, Scales
 from gms_flex_control.effects.registry import find
-from gms_flex_control.params.robot import EffectSpec, RobotParams
+from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -400,8 +400,3 @@ class Likelihood:
         """Return Coulomb friction of a joint, the least of all for the whole arm [N m]."""
         joints = self.robot.joints
         return float(self.coulomb[joints.index(joint)] if joint in joints else self.coulomb.min())
-
-
-def with_effect(robot, spec) -> RobotParams:
-    """Return a robot with one more effect."""
-    return replace(robot, effects=(*robot.effects, spec))

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of
 from gms_flex_control.discrepancy.evidence import is_of_other_size, State, state_of
-from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PLAUSIBLE
+from gms_flex_control.params.robot import with_effect
 import numpy as np
 
 _BEAM = 2             # sets that are followed, while there are few effects

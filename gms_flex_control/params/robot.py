@@ -226,3 +226,8 @@ def widened(robot: RobotParams, times: float) -> RobotParams:
     return replace(robot, uncertainty={
         (kind, joint): times * sd_of(robot, kind, joint)
         for kind in UNCERTAIN for joint in (*robot.joints, WHOLE_ARM)})
+
+
+def with_effect(robot: RobotParams, spec: EffectSpec) -> RobotParams:
+    """Return a robot with one more effect."""
+    return replace(robot, effects=(*robot.effects, spec))

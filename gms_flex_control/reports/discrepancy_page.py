@@ -9,10 +9,10 @@ from pathlib import Path
 from gms_flex_control.discrepancy import describe, residual_views
 from gms_flex_control.discrepancy.compared import free_runs_of
 from gms_flex_control.discrepancy.gap import HORIZON
-from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.arm import in_currents, in_units
+from gms_flex_control.params.robot import with_effect
 from gms_flex_control.reports.answers import COLUMNS, discrepancy_answer, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_values import comparison_rows
 from gms_flex_control.reports.figure_style import file_stem, save_figure
