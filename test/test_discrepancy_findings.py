@@ -89,7 +89,7 @@ def test_an_effect_is_written_beside_known_parameters_as_given(monkeypatch):
     beside = state_of_errors((0.5, 1.0), (0.5, 1.0), effect)
     monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): (
         given if state is tuned else beside))
-    monkeypatch.setattr(workflow, 'beside', lambda likelihood, state, before: best)
+    monkeypatch.setattr(workflow, 'as_before', lambda likelihood, state, before: best)
     assert written_of(tuned, best, effect) == (beside, given)
 
 
@@ -100,7 +100,7 @@ def test_an_effect_that_held_out_data_do_not_touch_is_written(monkeypatch):
     best = state_of_errors((0.9, 0.9), (1.1, 1.1), effect)
     untouched = state_of_errors((0.9, 0.9), (1.0, 1.0), effect)
     monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): given)
-    monkeypatch.setattr(workflow, 'beside', lambda likelihood, state, before: untouched)
+    monkeypatch.setattr(workflow, 'as_before', lambda likelihood, state, before: untouched)
     assert written_of(tuned, best, effect) == (untouched, tuned)
 
 

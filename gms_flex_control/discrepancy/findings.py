@@ -25,17 +25,21 @@ def as_given(likelihood, state, nuisances, but=()) -> State:
     x, joints = np.zeros(len(likelihood.nuisances)), likelihood.robot.joints
     free = {joints.index(name) for name in but}
     farthest = np.array([np.inf if one.joint in free else 0.0 for one in likelihood.nuisances])
-    model = fitting.fit(likelihood, state.model.robot, x, nuisances, plausible=farthest)
-    own = fitting.effect_columns(likelihood, model, fitting.numbers_of(likelihood, model.robot))
-    return State(model, nuisances, own, -np.inf, farthest)
+    return _unweighed(likelihood, fitting.fit(
+        likelihood, state.model.robot, x, nuisances, plausible=farthest), nuisances, farthest)
 
 
-def beside(likelihood, state, before) -> State:
+def as_before(likelihood, state, before) -> State:
     """Return a State with its effects beside the known parameters of another, ``before``."""
     robot = state.model.robot
     model = likelihood.fitted(robot, np.where(likelihood.resting(robot), 0.0, before.model.x))
-    return State(model, before.nuisances, fitting.effect_columns(
-        likelihood, model, fitting.numbers_of(likelihood, robot)), -np.inf, before.plausible)
+    return _unweighed(likelihood, model, before.nuisances, before.plausible)
+
+
+def _unweighed(likelihood, model, nuisances, plausible):
+    """Return a model as a State whose evidence is not asked for."""
+    own = fitting.effect_columns(likelihood, model, fitting.numbers_of(likelihood, model.robot))
+    return State(model, nuisances, own, -np.inf, plausible)
 
 
 def judged(likelihood, found, functions) -> tuple:
@@ -151,12 +155,14 @@ def _others(likelihood, found, worths, held_out):
 
     What the motion that was fitted does not separate, another may.
     """
+    if not worths:
+        return found, worths
     likely = sorted((state for state in found.tried if np.isfinite(state.evidence)),
                     key=lambda state: -state.evidence)
     others = [state for size in {1, len(worths)} for state in [
         one for one in likely if len(one.key(likelihood.known)) == size][:_RUNNERS]]
     best = min(others, key=held_out.energy, default=found.best)
-    if not worths or thresholds.BETTER * held_out.energy(best) > held_out.energy(found.best):
+    if thresholds.BETTER * held_out.energy(best) > held_out.energy(found.best):
         return found, worths
     other, others = worth.pruned(likelihood, found._replace(best=best))
     return (other, others) if others else (found, worths)

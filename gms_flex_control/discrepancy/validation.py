@@ -175,7 +175,11 @@ def memory_of(period) -> int:
 
 
 def innovation_cost(errors: np.ndarray, usable: np.ndarray, period: float) -> float:
-    """Return the cost of errors (T, C) less what earlier ones predict, at ``usable`` samples."""
+    """
+    Return the cost of errors (T, C) less what earlier ones predict, at ``usable`` samples (T,).
+
+    ``period`` [s] is that of the samples; 0 where too few of them are usable.
+    """
     memory, count = memory_of(period), errors.shape[1]
     size, used, gram = count * memory, 0, np.zeros((memory + 1, memory + 1, count, count))
     for begin, end in runs(usable):

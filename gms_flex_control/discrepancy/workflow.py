@@ -12,8 +12,8 @@ from gms_flex_control.discrepancy import describe, thresholds
 from gms_flex_control.discrepancy.evidence import credible, doubted, posterior
 from gms_flex_control.discrepancy.fast_ripple import fast_ripples, with_ripples
 from gms_flex_control.discrepancy.findings import (
+    as_before,
     as_given,
-    beside,
     finding_of,
     findings_of,
     joints_left,
@@ -304,9 +304,10 @@ def _written(likelihood, found, larger, held_out, further, named):
     wholes = [(found.best, found.before)] if is_written(found.best) else []
     if found.best.key(known) and not wholes:
         of_named = {joint for _, joint in named if joint in likelihood.robot.joints}
-        pairs = [(beside(likelihood, found.best, found.before), found.before), *(
-            tuple(as_given(likelihood, state, found.nuisances, but)
-                  for state in (found.best, found.before)) for but in ((), of_named))]
+        pairs = [(as_before(likelihood, found.best, found.before), found.before)]
+        for but in ((), of_named):
+            pairs.append(tuple(as_given(likelihood, state, found.nuisances, but)
+                               for state in (found.best, found.before)))
         wholes += [pair for pair in pairs if is_written(*pair)]
     if found.best.key(known) and not wholes:
         parts = islice(subsets(likelihood, found, held_out, lambda state: as_given(
