@@ -16,14 +16,26 @@ import hashlib
 from itertools import count
 import os
 from pathlib import Path
+import sys
 import tempfile
 from threading import RLock
+from types import ModuleType
 
 import numba
 from numba import types
 from numba.core import config
 from numba.core.bytecode import FunctionIdentity
 from numba.extending import intrinsic, overload
+
+# numba asks whether there is a BLAS by importing all of scipy.linalg, which takes longer than to
+# load the kernels, none of which calls a BLAS; were one to, numba would import it then
+_BLAS = 'scipy.linalg.cython_blas'
+if _BLAS not in sys.modules:
+    sys.modules[_BLAS] = ModuleType(_BLAS)
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        del sys.modules[_BLAS]
 
 _PACKAGE = Path(__file__).parent
 # what has kernels that others call

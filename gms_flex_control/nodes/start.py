@@ -2,6 +2,7 @@
 """The nodes as executables: quiet at Ctrl-C while they are imported, and --help."""
 
 from functools import partial
+import gc
 from importlib import import_module
 import os
 import signal
@@ -33,6 +34,7 @@ def run(name) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):  # `run_node` has handlers of its own later
         signal.signal(number, lambda *_: os._exit(0))
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # as launch_parts starts it
+    gc.disable()  # of what libraries make on import nothing goes
     try:
         module = import_module(f'gms_flex_control.nodes.{name}')
         process, scheduling = (import_module(f'gms_flex_control.nodes.{part}')
@@ -40,6 +42,8 @@ def run(name) -> int:
     except GmsFlexError as error:  # of what is not installed
         print(f'{name}: {error}', file=sys.stderr)
         return 2
+    gc.freeze()
+    gc.enable()
     if sys.argv[1:2] in (['-h'], ['--help']):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `head` takes no more
         print(_HELP.format(name=name, summary=module.__doc__.strip()))
