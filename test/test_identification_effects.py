@@ -4,11 +4,16 @@
 from dataclasses import replace
 from functools import cache
 
+from bench.hidden_robots.motions import draw_reference
 from bench.identification_simulated import simulate_identification
+from discrepancy_runs import driven
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.identification.assumed_robot import believed_model, cleared
+from gms_flex_control.identification.believed_arm import Believed
+from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.identify import Data
+from gms_flex_control.identification.objective import Objective
 from gms_flex_control.params.robot import EffectSpec
 from identified_axis import axis, GAINS, JOINT, part, PLAN
 import numpy as np
@@ -106,3 +111,30 @@ def test_where_the_arm_is_estimated_effects_are_refused_but_the_one_found_anew()
     assert believed_model(robot, whole=True).effects == robot.effects
     with pytest.raises(IdentificationError, match='spring_cubic: --estimate all'):
         believed_model(replace(axis(), effects=specs('spring_cubic')), whole=True)
+
+
+def innovations(recording, robot, alone):
+    """Return the innovations of the first joint with its true friction, rms [rad]."""
+    bundle = Data([(recording, ())], (), robot, alone=alone,
+                  beside=Believed(robot.arm, np.zeros(robot.n_joints))).bundle
+    blocks = Coordinates(robot.friction.stiffness.shape[1])
+    sides = (robot.friction.forward, robot.friction.backward)
+    numbers = [blocks.pack(
+        *(np.array([getattr(side, name)[j] for side in sides])
+          for name in ('static', 'coulomb', 'velocity', 'viscous')), robot.friction.attraction[j],
+        np.mean([side.static[j] for side in sides]) * robot.friction.weight[j]
+        / robot.friction.stiffness[j]) for j in range(robot.n_joints)]
+    objective = Objective(bundle, 0, [blocks.parameters(each) for each in numbers])
+    return np.sqrt(np.mean(objective.evaluate(blocks, numbers[0], 1.0).square))
+
+
+def test_what_one_joint_lacks_does_not_disturb_another_taken_alone(robot, gains):
+    """A spring that loses energy at joint 2: innovations of joint 1 grow if both move."""
+    time = np.arange(6000) * 2e-3
+    reference = draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
+    lacking = EffectSpec(name='spring_hysteresis', joint=robot.joints[1], values=(0.01, 0.002))
+    growth = {alone: np.divide(*(
+        innovations(driven(robot, robot, gains, reference, time, *effects), robot, alone)
+        for effects in ((lacking,), ()))) for alone in (False, True)}
+    assert growth[False] > 20.0
+    assert growth[True] < 2.0

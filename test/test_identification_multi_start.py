@@ -5,6 +5,7 @@ from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.least_squares import Prior, refine
 from gms_flex_control.identification.multi_start import multi_start
 from gms_flex_control.identification.objective import Evaluation
+from gms_flex_control.simulation.predictor import VELOCITY
 import numpy as np
 import pytest
 
@@ -49,6 +50,30 @@ def test_multi_start_finds_the_minimum_that_a_single_fit_misses(seed):
     assert np.abs(alone - TRUTH).max() > 2.0 * np.pi * RIPPLE
     assert off < 0.1
     assert found.gain > 1.5
+
+
+class Flat(Rippled):
+    """A stand-in that hardly feels a forward Stribeck velocity far from the truth."""
+
+    def evaluate(self, coordinates, free, sharpness, floor=None, *, derivatives=True):
+        """Return the Evaluation of free numbers, the forward velocity behind a flat function."""
+        felt = free.copy()
+        felt[VELOCITY] = np.tanh(free[VELOCITY])
+        one = super().evaluate(coordinates, felt, sharpness, floor)
+        slope = 1.0 - felt[VELOCITY] ** 2
+        one.gradient[VELOCITY] *= slope
+        one.curvature[VELOCITY] *= slope ** 2
+        return one
+
+
+def test_a_curve_that_has_lost_its_stribeck_part_begins_as_the_other_direction():
+    """From a velocity e^8 times too large nothing leads back, the backward curve does."""
+    start = TRUTH.copy()
+    start[VELOCITY] = 8.0
+    stuck = refine(Flat(), COORDINATES, start, PRIOR).free
+    found = multi_start(Flat(), COORDINATES, (start,), PRIOR, COUNT, np.random.default_rng(0), 8)
+    assert stuck[VELOCITY] > 7.0
+    assert found.ends[0][VELOCITY] == pytest.approx(0.0, abs=0.01)
 
 
 def test_a_start_in_the_best_hollow_gains_nothing():

@@ -113,6 +113,13 @@ def of_direction(way: int) -> slice:
     return slice(4 * way, 4 * way + 4)
 
 
+def with_both_as(free: np.ndarray, way: int) -> np.ndarray:
+    """Return free numbers (P,) with the Stribeck curve of direction ``way`` in both."""
+    alike = free.copy()
+    alike[of_direction(1 - way)] = alike[of_direction(way)]
+    return alike
+
+
 def friction_record(thetas: Sequence[np.ndarray]) -> np.record:
     """Return the kernels' constants (friction.constants_layout) of all joints' parameters."""
     table = np.stack([theta[:parameter_rows(MOST_BLOCKS, 0)] for theta in thetas], axis=1)

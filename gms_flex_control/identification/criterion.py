@@ -50,8 +50,8 @@ _MOST = 20_000        # samples that are looked at, if they are no further apart
 _COARSE = 8e-3        # [s]
 _YIELDS = (2.0, 0.2, 0.6, 10.0, 50.0)  # of the simple one's block, in encoder steps
 _SHORT = 60.0         # data in which one part held out is too little to choose by [s]
-_WORTH = 0.97         # of the error: a fit that is no better is not chosen
-_NEXT_TO_NOTHING = 0.05  # of the friction torque
+WORTH = 0.97         # of the error: a fit that is no better is not chosen
+NEXT_TO_NOTHING = 0.05  # of the friction torque
 _FAR, _LITTLE = 0.7, 1.3  # of the errors of the innovations: where torque decides after all
 _DROP, _LEVEL_SD = 0.1, 0.3  # of Coulomb friction: F_s - F_c to begin with; of its logarithm
 
@@ -87,7 +87,7 @@ def choose_fit(objective: Objective, fit: JointFit, step: float) -> Choice:
     """Return the Choice of a joint: none that is worse than the simple one in either error."""
     criteria = _criteria_of(objective, fit, step)
     usual = criteria.wins(criteria.by_innovations)
-    if usual and criteria.explained():
+    if usual and criteria.left() < NEXT_TO_NOTHING:
         return Choice(INNOVATIONS, fit, None)
     other = criteria.wins(criteria.by_torque)
     if usual and not (other and criteria.clearly_better()):
@@ -100,6 +100,11 @@ def simple_theta(objective: Objective, fit: JointFit, step: float, whole: bool) 
     criteria = _criteria_of(objective, fit, step)
     coordinates, free = criteria.simple(criteria.whole if whole else criteria.first)
     return coordinates.parameters(free)
+
+
+def left_of_torque(objective: Objective, fit: JointFit, step: float) -> float:
+    """Return the part of the friction torque held out that a fit to the rest leaves."""
+    return _criteria_of(objective, fit, step).left()
 
 
 def _criteria_of(objective, fit, step):
@@ -134,17 +139,17 @@ class _Criteria:
         """Return whether ``fitted``, _Look -> Coordinates and free numbers, passes all trials."""
         return all(self._passes(trial, fitted) for trial in self.trials)
 
-    def explained(self) -> bool:
-        """Return whether the fit by the innovations leaves next to nothing of the torque."""
+    def left(self) -> float:
+        """Return the part of the friction torque held out that the fit leaves."""
         error = self._error(self.first.out)
         left = error(self._fit.coordinates.parameters(self._fit.held))
-        return rms(left) < _NEXT_TO_NOTHING * rms(error.measured)
+        return float(rms(left) / rms(error.measured))
 
     def _passes(self, looks, fitted):
         penalty = self._penalty(looks[0])
         found, least = ([self._squares(look, *one(look)) for look in looks]
                         for one in (fitted, self.simple))
-        if not penalty * np.nanmax(_errors(found) / _errors(least)) < _WORTH:
+        if not penalty * np.nanmax(_errors(found) / _errors(least)) < WORTH:
             return False
         # less torque is missed than blocks differ by; free runs do not say so
         less = least[0].torque - penalty ** 2 * found[0].torque

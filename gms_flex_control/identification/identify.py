@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import time
+from typing import Self
 import warnings
 
 from gms_flex_control.compiled import in_one_thread
@@ -14,9 +15,15 @@ from gms_flex_control.identification import assumed_robot, prediction_error, unc
 from gms_flex_control.identification.arm_differences import difference_estimates
 from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.arm_regression import fit_differences
-from gms_flex_control.identification.believed_arm import Believed, believed
+from gms_flex_control.identification.believed_arm import believed
 from gms_flex_control.identification.coordinates import friction_record, STATICS
-from gms_flex_control.identification.criterion import choose_fit, simple_theta
+from gms_flex_control.identification.criterion import (
+    choose_fit,
+    left_of_torque,
+    NEXT_TO_NOTHING,
+    simple_theta,
+    WORTH,
+)
 from gms_flex_control.identification.friction_map import (
     friction_map,
     moves,
@@ -112,16 +119,15 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
             raise IdentificationError(f'{unknown}: its load is unknown, so that nothing can be '
                                       'predicted; give this recording to be fitted as well')
         currents = _currents_of(recordings, robot, whole)
-        data = Data(recordings, holdouts, model, whole)
-        fits = data.search(options, say)
-        if not whole:
-            say('links beside this friction')
-            beside = data.beside(fits)
-            data = Data(recordings, holdouts, model, beside=beside)
-            fits = fit_beside(data.bundle, fits)
-            if words := beside.words(model):
-                warnings.warn(words, stacklevel=2)
-        fits = data.choose(fits, say)
+        together = model.arm.kind == 'planar' and model.n_joints > 1
+        data, fits = _fitted(Data(recordings, holdouts, model, whole=whole, alone=not together),
+                             options, say)
+        if together and not whole and data.unexplained(fits).max() > NEXT_TO_NOTHING:
+            say('each joint by itself')
+            data, fits = _better((data, fits), _fitted(
+                Data(recordings, holdouts, model), options, say))
+        if words := data.words():
+            warnings.warn(words, stacklevel=2)
         say('intervals and errors on data held out')
         joints, arm = data.results(fits)
     return Identification(
@@ -135,6 +141,26 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         warnings=tuple(dict.fromkeys(str(item.message) for item in caught)),
         seconds=time.monotonic() - begin, currents=currents,
         spread=data.arm_fit.spread if whole else None, **data.found_beside(robot.joints))
+
+
+def _fitted(data, options, say):
+    """Return Data, and the JointFit of each joint that is chosen."""
+    fits = data.search(options, say)
+    if not data.whole:
+        say('links beside this friction')
+        data = data.beside(fits)
+        fits = fit_beside(data.bundle, fits)
+    return data, data.choose(fits, say)
+
+
+def _better(together, apart):
+    """
+    Return Data and JointFits of joints taken apart where they explain more torque held out.
+
+    Together, what the model lacks at one joint disturbs all; apart, accelerations have noise.
+    """
+    left, right = (np.log(data.unexplained(fits)).mean() for data, fits in (together, apart))
+    return apart if right < left + np.log(WORTH) else together
 
 
 def _currents_of(recordings, robot, whole):
@@ -158,10 +184,13 @@ class Data:
 
     ``given`` and ``holdouts`` are (Recording, phases), the robot is of
     assumed_robot.believed_model; ``whole`` says that the arm is estimated as well. Otherwise
-    friction is fitted ``beside`` a Believed arm, by default what the recordings show.
+    friction is fitted ``beside`` a Believed arm, by default what the recordings show. Joints are
+    taken ``alone``, each with the motion of the others as measured; those of a planar chain may
+    move together.
     """
 
-    def __init__(self, given, holdouts, robot, whole=False, beside=None):
+    def __init__(self, given, holdouts, robot, *, whole=False, alone=True, beside=None):
+        self.whole, self._given = whole, (given, holdouts, robot)
         half = half_count(given[0][0].of_joints(robot.joints), robot)  # of readings as they are
         recordings = [assumed_robot.cleared(one.of_joints(robot.joints), robot)
                       for one, _ in (*given, *holdouts)]
@@ -174,7 +203,7 @@ class Data:
             beside = beside or believed(self._recordings, robot)
             robot = replace(robot, arm=beside.arm)
             recordings = [beside.in_time(one) for one in recordings]
-        self._arm = robot.arm
+        self._beside = beside
         self.differences = None  # of an arm in space alone
         if robot.arm.frames is not None:
             self.differences = self.arm_fit.differences if whole else fit_differences(
@@ -188,8 +217,10 @@ class Data:
         found = self.differences.loads if self.differences else {}
         loads = [found[r].body if r in found else one.operation.load
                  for r, one in enumerate(recordings)]
-        parts, self.robot = one_by_one(parts, self.robot, loads,
-                                       self.differences and self.differences.loaded)
+        self._alone = alone and robot.arm.kind != 'decoupled'
+        if self._alone:
+            parts, self.robot = one_by_one(parts, self.robot, loads,
+                                           self.differences and self.differences.loaded)
         if whole:
             parts = [[self.arm_fit.cleared(one) for one in part] for part in parts]
         fitted, apart = (while_moved([one for part in parts[rows] for one in part],
@@ -262,11 +293,21 @@ class Data:
                               for j in np.flatnonzero(found.prior_sd > 0.0)},
                 'loads': {r: one.body for r, one in found.loads.items()}}
 
-    def beside(self, fits) -> Believed:
-        """Return what recordings show of the arm with the friction of JointFits."""
-        return believed(self._recordings, self.described, {
-            self.described.joints[j]: fit.theta for j, fit in zip(
-                self.fitted, fits, strict=True)}, self._arm)
+    def beside(self, fits) -> Self:
+        """Return the Data beside what they show of the arm with the friction of JointFits."""
+        thetas = {self.described.joints[j]: fit.theta
+                  for j, fit in zip(self.fitted, fits, strict=True)}
+        return Data(*self._given, alone=self._alone, beside=believed(
+            self._recordings, self.described, thetas, self._beside.arm))
+
+    def words(self) -> str:
+        """Return a sentence of what is other than described, '' where nothing is."""
+        return '' if self.whole else self._beside.words(self.described)
+
+    def unexplained(self, fits) -> np.ndarray:
+        """Return the parts (n,) of the friction torque held out that JointFits leave."""
+        return np.array([left_of_torque(*each) for each in zip(
+            objectives_of(self.bundle, fits), fits, self.step, strict=True)])
 
     def search(self, options, say) -> list:
         """Return the JointFit per joint that predicts motion best."""
@@ -328,7 +369,7 @@ class Data:
             warnings=(*self.choices[joint].sentences, *few_blocks(fit),
                       *prediction_error.coupling_sentences(
                           objective, theta, self.robot.joints, held_out(bundle.period),
-                          self._apart, self.described.arm.frames is not None)))
+                          self._apart, self._alone)))
 
     def _errors(self, objective, fit):
         joint, bundle, judged = objective.joint, self.bundle, objective

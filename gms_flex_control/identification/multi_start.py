@@ -25,6 +25,7 @@ from gms_flex_control.identification.coordinates import (
     MOST_BLOCKS,
     N_STEADY,
     slipping,
+    with_both_as,
 )
 from gms_flex_control.identification.friction_map import Start
 from gms_flex_control.identification.least_squares import (
@@ -235,14 +236,16 @@ def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence
     """
     Refine again from perturbations of the best so far, as long as it pays, and keep the best.
 
-    ``starts`` are free numbers, the best first; ``count`` the encoder step or noise [rad]; it ends
-    after ``patience`` fits in a row without a gain. The scatter is as much larger as Student's
-    distribution is wider for so few: what the roughness leaves open.
+    Each direction begins as the other as well: where a curve has lost its Stribeck part, v_s far
+    beyond the motion, the other may have it still. ``starts`` are free numbers, the best first;
+    ``count`` the encoder step or noise [rad]; it ends after ``patience`` fits in a row without a
+    gain. The scatter is as much larger as Student's distribution is wider for so few: what the
+    roughness leaves open.
     """
     begin = objective.evaluate(coordinates, starts[0], 1.0)
     ends = [refine(objective, coordinates, starts[0], prior, roughly=True)]
     floor, idle = ends[0].evaluation.floor, 0
-    carried = list(starts[1:])
+    carried = [*starts[1:], *(with_both_as(starts[0], way) for way in range(2))]
     while len(ends) <= _MOST and (carried or idle < patience):
         best = min(ends, key=lambda end: _cost_above(end, floor, prior))
         lowest = _cost_above(best, floor, prior)

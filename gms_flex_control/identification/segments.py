@@ -193,17 +193,14 @@ def _segment(recording, robot, sides, phases, rows, period, even):
 def one_by_one(pieces: list, robot: RobotParams, loads: Sequence = (),
                per_load: np.ndarray | None = None) -> tuple[list, RobotParams]:
     """
-    Return what was measured of a chain in space as that of axes which do not act on each other.
+    Return what was measured of a chain as that of axes which do not act on each other.
 
     The links are known: the torque that the measured motion of all joints requires, but for an
     inertia of each joint's own, is subtracted from its drive. What is left moves that inertia
     against friction. ``pieces`` are the Segments of each recording, ``loads`` what it carried;
-    ``per_load`` (n,) is friction per torque that moves the link, subtracted as well. Both are
-    returned as they are unless the links are those of a URDF.
+    ``per_load`` (n,) is friction per torque that moves the link, subtracted as well.
     """
     arm, n = robot.arm, robot.n_joints
-    if arm.frames is None:
-        return pieces, robot
     poses = np.concatenate([filled(one.angle)[::_THIN] for part in pieces for one in part])
     inertia = np.median(np.diagonal(mass_matrices(poses, arm), axis1=1, axis2=2), axis=0)
 

@@ -13,7 +13,7 @@ from gms_flex_control.identification.coordinates import (
     Coordinates,
     equal_blocks,
     MOST_BLOCKS,
-    of_direction,
+    with_both_as,
 )
 from gms_flex_control.identification.least_squares import Prior, prior_of, refine
 from gms_flex_control.identification.objective import (
@@ -58,9 +58,7 @@ class JointFit(NamedTuple):
         """Return it with friction of a direction without motion (0, 1 or None) as the other's."""
         if unmoved is None:
             return self
-        free, held = self.free.copy(), self.held.copy()
-        for one in (free, held):
-            one[of_direction(unmoved)] = one[of_direction(1 - unmoved)]
+        free, held = (with_both_as(one, 1 - unmoved) for one in (self.free, self.held))
         return self._replace(free=free, held=held)
 
 
