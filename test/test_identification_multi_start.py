@@ -66,7 +66,7 @@ class Flat(Rippled):
         return one
 
 
-def test_a_curve_that_has_lost_its_stribeck_part_begins_as_the_other_direction():
+def test_a_stribeck_curve_that_is_lost_begins_as_that_of_the_other_direction():
     """From a velocity e^8 times too large nothing leads back, the backward curve does."""
     start = TRUTH.copy()
     start[VELOCITY] = 8.0

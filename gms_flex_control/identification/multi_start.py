@@ -45,6 +45,7 @@ from gms_flex_control.identification.selection import (
     objectives_of,
 )
 from gms_flex_control.identification.uncertainty import widening
+from gms_flex_control.simulation.predictor import PER_DIRECTION, VELOCITY
 import numpy as np
 
 COARSE = 4e-3         # sample that is fine enough to find the way [s]
@@ -66,6 +67,7 @@ _STEADY = (0.002, 0.05, 0.02, 0.01)  # perturbation of F_c, F_s - F_c, v_s, sigm
 _BLOCKS, _FINE = 0.05, 0.12  # of attraction and yields; more of those within few counts
 _WIDE = 0.3           # of those together, every other time
 _FEW_COUNTS = 1.5
+_LOST = 10.0          # v_s of one direction over the other's: robots are drawn with 1.6 at most
 _GOOD = 1.15          # times the lowest cost: as good an explanation
 
 
@@ -236,16 +238,14 @@ def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence
     """
     Refine again from perturbations of the best so far, as long as it pays, and keep the best.
 
-    Each direction begins as the other as well: where a curve has lost its Stribeck part, v_s far
-    beyond the motion, the other may have it still. ``starts`` are free numbers, the best first;
-    ``count`` the encoder step or noise [rad]; it ends after ``patience`` fits in a row without a
-    gain. The scatter is as much larger as Student's distribution is wider for so few: what the
-    roughness leaves open.
+    ``starts`` are free numbers, the best first; ``count`` the encoder step or noise [rad]; it ends
+    after ``patience`` fits in a row without a gain. The scatter is as much larger as Student's
+    distribution is wider for so few: what the roughness leaves open.
     """
     begin = objective.evaluate(coordinates, starts[0], 1.0)
-    ends = [refine(objective, coordinates, starts[0], prior, roughly=True)]
+    ends = [_with_both_curves(objective, coordinates, starts[0], prior)]
     floor, idle = ends[0].evaluation.floor, 0
-    carried = [*starts[1:], *(with_both_as(starts[0], way) for way in range(2))]
+    carried = list(starts[1:])
     while len(ends) <= _MOST and (carried or idle < patience):
         best = min(ends, key=lambda end: _cost_above(end, floor, prior))
         lowest = _cost_above(best, floor, prior)
@@ -269,6 +269,18 @@ def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence
         np.square(np.array(good) - good[0]), axis=0))
     gain = total_cost(replace(begin, floor=floor), starts[0], prior) / lowest
     return MultiStart(tuple(ordered[:KEPT]), scatter, gain)
+
+
+def _with_both_curves(objective, coordinates, free, prior):
+    """Return the Refined from ``free``, a Stribeck curve that is lost begun as the other way's."""
+    end = refine(objective, coordinates, free, prior, roughly=True)
+    velocities = coordinates.parameters(end.free)[[VELOCITY, PER_DIRECTION + VELOCITY]]
+    if velocities.max() < _LOST * velocities.min():
+        return end
+    floor, alike = end.evaluation.floor, with_both_as(end.free, int(np.argmin(velocities)))
+    other = refine(objective, coordinates, alike, prior, roughly=True, floor=floor)
+    better = GAIN * _cost_above(other, floor, prior) < _cost_above(end, floor, prior)
+    return other if better else end
 
 
 def _tried(objective, coordinates, free, prior, floor, steps, limit):
