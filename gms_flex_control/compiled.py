@@ -106,15 +106,17 @@ def compiled(function, folder=_CACHE_FOLDER, **options) -> Callable:
     Compile a numerical function with numba, without the GIL, cached on disk where possible.
 
     No fast-math: a run gives the same bits whether it is stepped from Python or in one loop.
+    Kernels are inlined where others call them: a call hands over each array as seven numbers.
     Kernels outside the package name the ``folder`` that `cache_folder` returns for theirs.
     """
     with _cached_in(folder) as cache:
-        return numba.njit(cache=cache, nogil=True, error_model='numpy', **options)(function)
+        return numba.njit(cache=cache, nogil=True, error_model='numpy', forceinline=True,
+                          no_cfunc_wrapper=True, **options)(function)
 
 
 def compiled_part(function) -> Callable:
-    """Compile what other kernels alone call, without the two wrappers for Python and C."""
-    return compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    """Compile what other kernels alone call, without a wrapper for Python."""
+    return compiled(function, no_cpython_wrapper=True)
 
 
 def compiled_choice(choose) -> Callable:

@@ -29,9 +29,9 @@ def model_with_error(robot, *, friction=1.0, stiffness=1.0, inertia=1.0):
     return replace(robot, arm=arm, friction=scaled_friction(robot.friction, friction))
 
 
-def padded(friction):
+def padded(friction, blocks=BLOCKS):
     """Return friction with as many blocks as a fit has, the further ones carrying nothing."""
-    none = ((0, 0), (0, BLOCKS - friction.stiffness.shape[1]))
+    none = ((0, 0), (0, blocks - friction.stiffness.shape[1]))
     return replace(friction, stiffness=np.pad(friction.stiffness, none),
                    weight=np.pad(friction.weight, none))
 

@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
-from core_runs import single_axis
+from core_runs import padded, single_axis
 from discrepancy_runs import as_believed, driven_motion, rms_left
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
@@ -66,12 +66,14 @@ def test_a_rigid_axis_is_held_on_its_motion_wherever_its_inertia_stands(inertia)
     assert np.abs(again.samples.readings - motion.samples.readings).max() < 1e-3
 
 
-def test_links_that_carry_a_heavy_one_are_held_at_100_hz():
+def test_links_that_carry_a_heavy_one_are_held_at_100_hz(ideal_robot):
     """What holds a joint while the other gives way is a fiftieth of its inertia at 0."""
     arm = ArmParams(kind='planar', mass=[0.2, 10.0], length=[0.5, 0.0], com=[0.25, 0.5],
                     inertia=[0.01, 0.01], motor_inertia=[0.02, 0.02], stiffness=[np.inf] * 2,
                     damping=[0.0, 0.0], gravity=0.0)
-    robot = replace(rigid_joints(('shoulder', 'elbow')), arm=arm)
+    robot = rigid_joints(('shoulder', 'elbow'))
+    blocks = ideal_robot.friction.stiffness.shape[1]  # compiled for those already
+    robot = replace(robot, arm=arm, friction=padded(robot.friction, blocks))
     time = np.arange(1000) * 0.01
     turns, size = 2.0 * np.pi * np.array([0.3, 0.5]), np.array([0.4, 0.3])
     q, dq, ddq = (size * turns ** k * np.sin(np.outer(time, turns) + 0.5 * np.pi * k)

@@ -6,7 +6,7 @@ import json
 import re
 import shlex
 
-from core_runs import model_with_error
+from core_runs import model_with_error, padded
 from gms_flex_control.cli.main import main
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.identification.assumed_robot import rigid_joints
@@ -138,7 +138,8 @@ def test_what_compare_and_tune_say_comes_next_runs_with_a_robot_of_its_own(
     """The sinusoid of config/ is for the joints of the paper: both write the one they tried."""
     only('none', 'gms')
     monkeypatch.chdir(tmp_path)
-    save_robot(rigid_joints(['slide']), 'robot.yaml')
+    robot = rigid_joints(['slide'])
+    save_robot(replace(robot, friction=padded(robot.friction)), 'robot.yaml')
     for verb in ('tune --robot robot.yaml --torque-limit 20 --amplitude 0.2 --out tuned',
                  'compare robot.yaml --controller tuned/controller.yaml --amplitude 0.2 --draws 0 '
                  '--workers 1 --out compared'):

@@ -331,7 +331,8 @@ def _as_modelled(motion, constants):
     fine = np.stack([np.interp(samples.time, motion.time, one)
                      for one in errors.reshape(len(errors), -1).T], axis=1).reshape(
         len(samples.time), *errors.shape[1:])
-    return samples.states - fine[:, :6], samples.readings - fine[:, [0, 3]], fine[:, 6:]
+    return (samples.states - fine[:, :6], samples.readings - fine[:, [0, 3]],
+            np.ascontiguousarray(fine[:, 6:]))  # as kernels are compiled for
 
 
 def all_known(motion, starts) -> np.ndarray:

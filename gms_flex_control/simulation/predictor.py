@@ -89,11 +89,7 @@ def level_tangents(j, a, sign, velocity, d_dq, directions, friction, out) -> Non
 @compiled_part
 def advance_tangents(j, a, displacement, d_displacement, velocity, d_dq, dt, state, directions,
                      friction, d_level, d_torque) -> None:
-    """
-    Advance joint ``j`` as friction.advance_joint, and the derivatives of its blocks.
-
-    One long function: a call with this many arrays costs more than the work on a block.
-    """
+    """Advance joint ``j`` as friction.advance_joint, and the derivatives of its blocks."""
     turned = displacement * state.direction[j] < 0.0
     if turned:
         state.direction[j] = -state.direction[j]
