@@ -78,6 +78,6 @@ clean:  ## Remove the environment and all that was made
 # an editable installation runs the sources of this clone.
 .venv/.with-%: .venv/.created setup.py setup.cfg package.xml
 	@echo "Installing gms_flex_control for '$*' into .venv (once; downloads up to 250 MB)"
-	@$(BIN)/python -m pip install -qq --no-build-isolation --use-pep517 \
+	@$(BIN)/python -m pip install -qq --no-compile --no-build-isolation --use-pep517 \
 	  -c constraints.txt --editable '.[ros,$*]'
 	@touch $@

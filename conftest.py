@@ -79,7 +79,8 @@ def pytest_runtest_setup(item):
     """
     Let real nodes have all cores, other tests that run beside them one of their own.
 
-    A computation with a thread per core would starve the nodes of a test in the other process.
+    A computation with a thread per core would starve the nodes of a test in another process. The
+    process that has the nodes computes when there are none left, on whichever core is free.
     """
     if getattr(item, 'execution_count', 1) > 1:
         _begin_anew(item)
@@ -87,7 +88,8 @@ def pytest_runtest_setup(item):
         return
     own = CORES[int(WORKER.removeprefix('gw')) % len(CORES)]
     nodes = item.get_closest_marker('flaky') or has_nodes(item.path)
-    os.sched_setaffinity(0, CORES if nodes else [own])
+    with_nodes = WORKER == f'gw{NODES_APART - 1}'
+    os.sched_setaffinity(0, CORES if nodes or with_nodes else [own])
 
 
 def _begin_anew(item):
@@ -103,23 +105,22 @@ def _begin_anew(item):
 
 # files that take longest and about how long [s]; nothing but the order depends on it
 WITH_NODES = {
-    'control_cascade': 30,  # compiles for two joints what the nodes run
-    'nodes_identification': 40, 'demo_discrepancy': 60, 'demo_next': 60, 'faults': 40,
-    'tutorial_with_a_robot': 40, 'nodes_lockstep': 30, 'nodes_bridge': 28, 'nodes_signals': 20,
-    'colcon_workspace': 20, 'nodes_composed': 19, 'soak': 16, 'cli_demo': 15, 'nodes_files': 14,
-    'demo_identify': 12, 'nodes_sros2': 10}
+    'control_cascade': 25,  # compiles for two joints what the nodes run
+    'nodes_identification': 37, 'demo_discrepancy': 60, 'demo_next': 60, 'nodes_safety': 40,
+    'tutorial_with_a_robot': 40, 'faults': 34, 'nodes_namesakes': 33, 'nodes_bridge': 25,
+    'nodes_signals': 20, 'colcon_workspace': 20, 'nodes_composed': 19, 'soak': 16,
+    'cli_demo': 15, 'nodes_late': 15, 'nodes_lockstep': 14, 'nodes_files': 13,
+    'nodes_messages': 12, 'nodes_recorder': 12, 'demo_identify': 12, 'nodes_sros2': 10}
 WITHOUT_NODES = {
     'identification_axis': 40,  # compiles for one joint meanwhile
-    'identification_loads': 28,  # and for six, so that no two compile the same
-    'discrepancy_workflow': 50, 'tutorials': 24, 'results': 24,
-    'effects_learned': 24, 'design': 20, 'discrepancy_validation': 20,
-    'recovery': 21, 'identification_checks': 20,
-    'identification_inertial_parameters': 20, 'cli_identify': 20, 'discrepancy_unseen_links': 14,
-    'tuning_study': 10, 'speed': 15, 'simulation_predictor': 15, 'identification_arm': 15,
-    'real_machines': 15, 'control_effects': 15, 'discrepancy_motion': 15,
-    'batches': 14, 'discrepancy_faults': 12, 'cli': 12, 'reports_identification': 12,
-    'tuning': 12, 'cli_discrepancy': 10, 'hidden_score': 10, 'discrepancy_noise': 10,
-    'effects': 10}
+    'identification_loads': 28,  # and for six: no two compile the same
+    'discrepancy_workflow': 60, 'results': 34, 'discrepancy_faults': 28, 'recovery': 21,
+    'effects_learned': 16, 'identification_believed_arm': 15, 'speed': 15, 'real_machines': 15,
+    'tutorials': 14, 'cli_identify': 14, 'identification_criterion': 13, 'tuning_study': 12,
+    'design': 12, 'schema_urdf_arm': 11, 'discrepancy_unseen_links': 10, 'hidden_score': 10,
+    'discrepancy_validation': 9, 'identification_currents': 9, 'identification_checks': 9,
+    'cli': 9, 'discrepancy_noise': 8, 'discrepancy_fast_ripple': 8, 'discrepancy_motion': 7,
+    'identification_arm': 7, 'tuning': 6, 'cli_discrepancy': 6}
 
 
 def pytest_addoption(parser):
