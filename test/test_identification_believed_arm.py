@@ -3,10 +3,13 @@
 
 from dataclasses import replace
 
+from bench.hidden_robots.motions import draw_reference
+from discrepancy_runs import driven
 from gms_flex_control.identification.arm_fit import with_axis
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.believed_arm import Believed, believed
 from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.params.robot import EffectSpec
 from identified_axis import axis, experiment, JOINT, part, pendulum
 import numpy as np
 import pytest
@@ -98,3 +101,14 @@ def test_an_axis_that_slides_is_believed_as_one_that_turns():
     assert slides.arm.axes == 'linear'
     for name in ('inertia', 'motor_inertia', 'mass'):
         assert getattr(slides.arm, name) == getattr(turns.arm, name)
+
+
+@pytest.mark.parametrize('mass', [0.5, 1.0])
+def test_a_load_does_not_soften_springs_that_are_as_stiff_as_their_motors_say(robot, gains, mass):
+    """Without gravity heavier links are as softer springs: nothing but the motors tells them."""
+    time = np.arange(15000) * 2e-3
+    reference = draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
+    payload = EffectSpec(name='tip_payload', joint='arm', values=(mass,))
+    found = believed([driven(robot, robot, gains, reference, time, payload)], robot).arm
+    assert found.stiffness == pytest.approx(robot.arm.stiffness, rel=0.015)
+    assert found.mass.sum() > robot.arm.mass.sum() + 0.3 * mass

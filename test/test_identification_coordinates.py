@@ -3,14 +3,19 @@
 
 from types import SimpleNamespace
 
+from gms_flex_control.friction import replay
 from gms_flex_control.identification.coordinates import (
     Coordinates,
+    friction_record,
     MOST_BLOCKS,
     presliding_curve,
     slipping,
     yield_quantiles,
     yields_of,
 )
+from gms_flex_control.identification.least_squares import prior_of
+from gms_flex_control.identification.outcome import Candidate
+from gms_flex_control.identification.selection import JointFit
 from gms_flex_control.identification.uncertainty import curve_of, Spread
 from gms_flex_control.simulation.predictor import BLOCKS
 import numpy as np
@@ -118,3 +123,23 @@ def test_without_blocks_that_never_slip_presliding_is_the_same_and_levels_are_th
                                presliding_curve(theta, displacement), atol=1e-4)
     np.testing.assert_allclose(yields_of(found)[0], yields[:3], rtol=1e-12)
     assert slipping(theta, reach=1e5) is theta
+
+
+def test_a_fit_without_the_blocks_that_never_slip_has_the_same_friction():
+    """A spring that the motion only bends carries next to nothing, but a quarter of the level."""
+    coordinates = Coordinates(4)
+    free = coordinates.pack(**STEADY, yields=[50.0, 3e-4, 2e-3, 1e-2])
+    sampling = np.arange(coordinates.size, dtype=float)
+    fit = JointFit(coordinates, free, prior_of(coordinates, free), free,
+                   (Candidate(2, 1.0, 0.1, False), Candidate(4, 0.9, 0.0, True)), sampling)
+    less = fit.slipping(1.0)
+    time = np.arange(4000) * 1e-3
+    angle, rate = 0.3 * np.sin(3.0 * time)[:, None], 0.9 * np.cos(3.0 * time)[:, None]
+    before, after = (replay(angle, rate, 1e-3, friction_record([one.theta]))
+                     for one in (fit, less))
+    assert less.coordinates.n_blocks == 3
+    assert less.theta[:2] == pytest.approx(0.75 * fit.theta[:2])
+    assert after[1000:] == pytest.approx(before[1000:], abs=5e-3 * STEADY['coulomb'][0])
+    assert less.sampling.tolist() == np.delete(sampling, 9).tolist()
+    assert [one.n_blocks for one in less.candidates] == [2, 3]
+    assert less.slipping(1.0) is less

@@ -34,6 +34,7 @@ _TORQUE_SD = 0.01   # of the scale of torques that are given in N m
 _LEAST_SD = 1e-4    # of a base parameter, as of a body of the whole mass: one of 0 has none
 _SHOWN = 0.9        # of the torque that links and friction leave, where links are as described:
 #                     described rightly they leave 0.97 and more, 1 % off 0.85 and less
+_AGREE = 3.0        # standard deviations between two sources of one number
 _BEYOND = 1.0       # for how long the first and the last torque act outside a recording [s]
 _OF_LINKS = ('mass', 'com', 'inertia', 'motor_inertia')
 _NUMBERS = (*_OF_LINKS, 'stiffness')
@@ -102,7 +103,7 @@ def _within_belief(recordings, robot, known):
     springs = np.array(sides) == 'spring'
     base = (base_of(arm, numbers=IN_PLANE) if robot.arm.frames is None
             else base_of(arm, recordings[0].coupling))
-    stiffness, sd = _stiffnesses(recordings, robot, springs)
+    stiffness, sd, agreed = _stiffnesses(recordings, robot, springs)
     robot = replace(robot, arm=replace(robot.arm, stiffness=stiffness))
 
     def friction(segment, joints, period):
@@ -113,7 +114,7 @@ def _within_belief(recordings, robot, known):
                 scale = stiffness[j] / fitted_with if springs[j] else 1.0
                 torque[:, j] = scale * friction_along(segment, j, theta, period)
         return torque
-    fit = _WithinBelief(recordings, robot, sides, arm, base, spring_sd=sd * springs,
+    fit = _WithinBelief(recordings, robot, sides, arm, base, agreed, spring_sd=sd * springs,
                         friction=friction if known else None)
     fit.solve()
     return fit.believed()
@@ -121,13 +122,14 @@ def _within_belief(recordings, robot, known):
 
 def _stiffnesses(recordings, robot, springs):
     """
-    Return stiffnesses [N m/rad] and their relative standard deviations, (n,) each.
+    Return stiffnesses [N m/rad], their relative standard deviations, and which agree, (n,) each.
 
     As described, unless the torque of the motor shows another: the spring's own torque determines
     links and friction but for a factor, that of its stiffness. A joint with effects is left out,
-    of which the motor's equation may have any.
+    of which the motor's equation may have any. Where both agree, neither is far off.
     """
     stiffness, sd = robot.arm.stiffness.copy(), known_to(robot, 'stiffness')
+    agreed = np.zeros(robot.n_joints, dtype=bool)
     inertia, inertia_sd = robot.arm.motor_inertia, known_to(robot, 'motor_inertia')
     plain = [all(spec.joint != joint for spec in robot.effects) for joint in robot.joints]
     for j in np.flatnonzero(springs & plain):
@@ -137,20 +139,26 @@ def _stiffnesses(recordings, robot, springs):
             continue
         measured, error, left = found
         precision = np.array([sd[j] ** -2.0, ((error / measured) ** 2 + _TORQUE_SD ** 2) ** -1.0])
+        agreed[j] = np.log(measured / stiffness[j]) ** 2 < _AGREE ** 2 * np.sum(1.0 / precision)
         likely = stiffness[j] ** (precision[0] / precision.sum()) * measured ** (
             precision[1] / precision.sum())
         if left(likely) < _SHOWN * left(stiffness[j]):
             stiffness[j], sd[j] = likely, precision.sum() ** -0.5
-    return stiffness, sd
+    return stiffness, sd, agreed
 
 
 class _WithinBelief(ArmRegression):
-    """The regression with links, and springs, that are known: each within heavy-tailed priors."""
+    """
+    The regression with links, and springs, that are known: each within heavy-tailed priors.
+
+    Those of springs ``agreed`` (n,) of are normal.
+    """
 
     _settles = False
 
-    def __init__(self, recordings, robot, sides, arm, base, **options):
+    def __init__(self, recordings, robot, sides, arm, base, agreed, **options):
         super().__init__(recordings, robot, sides, arm, base, **options)
+        self._agreed = agreed
         self._memory = len(self._rows.block) / _DIFFERENT
         ten = np.where(np.arange(10) < 4, known_to(robot, 'gravity')[:, None],
                        known_to(robot, 'inertia')[:, None])
@@ -162,6 +170,9 @@ class _WithinBelief(ArmRegression):
     def _precision(self):
         precision, layout = super()._precision(), self._layout
         precision[layout.links] = heavy_tailed(self._at.links - self._links, self._sd)
+        precision[layout.scales] = np.where(
+            self._agreed[layout.free], self._prior_sd[layout.free] ** -2.0,
+            precision[layout.scales])
         for part in (layout.links, layout.scales):
             precision[part] *= self._memory
         return precision

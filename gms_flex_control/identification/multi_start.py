@@ -96,6 +96,7 @@ def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, steps: Se
             partial(fit_again, blocks=blocks), objectives_of(rough, fits), fits))
         if not all(fit.ends for fit in fits):  # not where the search ended
             fits = _search(pool, bundle, fits, LEVELS[-1:])
+        fits = [fit.slipping(travel(bundle.segments, j)) for j, fit in enumerate(fits)]
         return list(pool.map(_finish, objectives_of(bundle, fits), fits))
 
 

@@ -13,6 +13,7 @@ from gms_flex_control.identification.coordinates import (
     Coordinates,
     equal_blocks,
     MOST_BLOCKS,
+    slipping,
     with_both_as,
 )
 from gms_flex_control.identification.least_squares import Prior, prior_of, refine
@@ -60,6 +61,26 @@ class JointFit(NamedTuple):
             return self
         free, held = (with_both_as(one, 1 - unmoved) for one in (self.free, self.held))
         return self._replace(free=free, held=held)
+
+    def slipping(self, reach: float) -> Self:
+        """
+        Return it without the blocks that never slip within ``reach`` [rad].
+
+        Held by the motion, they take part of the levels without being friction.
+        """
+        idle = np.exp(self.free[self.coordinates.yields]) >= reach
+        fewer = int(np.sum(~idle))
+        if fewer in (0, self.coordinates.n_blocks):
+            return self
+        coordinates, free = equal_blocks(slipping(self.theta, reach), fewer)
+        idle = self.coordinates.yields.start + np.flatnonzero(idle)
+        return self._replace(
+            coordinates=coordinates, free=free, prior=prior_of(coordinates, free), held=free,
+            sampling=np.delete(self.sampling, idle), ends=(),
+            rivals=tuple(slipping(one, reach) for one in self.rivals),
+            candidates=tuple(
+                one._replace(n_blocks=fewer) if one.n_blocks == self.coordinates.n_blocks else one
+                for one in self.candidates if one.n_blocks != fewer))
 
 
 def objectives_of(bundle: Bundle, fits: Sequence[JointFit]) -> list[Objective]:
