@@ -2,7 +2,7 @@
 """The simulated plant has the same limits, services and faults as the bridge."""
 
 from bridge_lab import ask, client_of, enable
-from node_harness import array_message, Lab, MOTION, stamp_of
+from node_harness import array_message, Lab, MOTION, stamp_of, TERM
 import numpy as np
 import pytest
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -43,19 +43,31 @@ def test_a_range_left_during_a_silence_is_a_fault_that_outlasts_the_silence(tmp_
         assert 'commands come again' not in lab.plant.printed()
 
 
-@pytest.fixture(params=[THREE, ('loop_node',)], ids=['three processes', 'one process'])
-def moving(request, tmp_path):
-    """Run the loop along a large sinusoid that has begun by itself."""
-    with Lab(tmp_path) as lab:
-        lab.clients = {}
+@pytest.fixture(scope='module', params=[THREE, ('loop_node',)],
+                ids=['three processes', 'one process'])
+def loop(request, tmp_path_factory):
+    """Run the loop along a large sinusoid that begins by itself."""
+    with Lab(tmp_path_factory.mktemp('moving')) as lab:
+        lab.clients, lab.used = {}, False
         lab.processes = [lab.start(
             name, files=MOTION, rate=RATE, silence_timeout=1.0, trajectory__autostart=True,
             trajectory__approach_time=1.0) for name in request.param]
         for name in ('plant/enable', 'plant/reset', 'trajectory/start'):
             client_of(lab, f'/{name}')
         lab.states, lab.references = lab.hear('states', 'references')
-        lab.until(lambda: lab.states and np.abs(lab.states[-1].position).max() > 0.4)
         yield lab
+
+
+@pytest.fixture
+def moving(loop):
+    """Return the loop as it moves, whatever was before."""
+    if loop.used:
+        assert ask(loop, 'reset').success
+        enable(loop)
+        assert ask(loop, '/trajectory/start').success
+    loop.used = True
+    loop.until(lambda: loop.states and np.abs(loop.states[-1].position).max() > 0.4)
+    return loop
 
 
 @pytest.mark.parametrize('leave', [('disable',), ('emergency_stop', 'reset')])
@@ -109,6 +121,8 @@ def test_points_are_refused_while_no_torque_flows(moving):
         return any('joint trajectory refused: no torque flows (ZERO: disabled): call '
                    '/plant/enable first' in process.printed() for process in lab.processes)
     lab.until(refused)
+    for process in lab.processes:  # the last with it: no loop runs beside other tests
+        assert process.signal(TERM) == 0
 
 
 @pytest.fixture(scope='module')
