@@ -11,7 +11,7 @@ from bench.hidden_robots.truth import Disturbance
 from discrepancy_runs import driven
 from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.describe import named as described
-from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
+from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, Signature, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, SimulationError
@@ -235,6 +235,19 @@ def test_what_makes_a_model_worse_is_named_and_not_added(named, monkeypatch):
     assert discrepancy_answer(result, '').sentence.startswith(said)
     assert report_values(result)['findings'][0]['added'] is False
     np.testing.assert_allclose(result.gap.after, result.gap.retuned, rtol=1e-3)
+
+
+def test_nothing_is_named_where_much_is_left_that_the_written_model_does_not_explain(
+        named, monkeypatch):
+    """What explains something only beside an effect that makes free runs worse, explains none."""
+    left = Signature(0.5, 'link', 'joint1', '', 'Something is left.')
+    monkeypatch.setattr(workflow, '_left_over', lambda *_: left)
+    monkeypatch.setattr(workflow, '_named', lambda likelihood, findings, *_: (findings, left))
+    monkeypatch.setattr(workflow, '_written',
+                        lambda likelihood, found, *_: (found.before, found.before))
+    case, _ = named
+    result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    assert (result.verdict, result.findings, result.unexplained) == (UNEXPLAINED, (), left)
 
 
 def test_no_model_is_written_that_predicts_worse_than_the_one_given():

@@ -129,6 +129,8 @@ def _compared(motions, holdout, robot, options, say):
     retuned_alone = replace(gap, after=gap.retuned, free_after=gap.free_before)
     if after is not all_found:
         gap = held_out.gap(alone, after)
+        if left is not None and thresholds.CLEARLY * gap.energy_ratio > 1.0:
+            findings = []  # beside what may not be written they explain something, alone nothing
     say('ripples at the full rate')
     ripples = fast_ripples(likelihood, after.model, options.without)[
         :max(options.most - len(after.key(likelihood.known)), 0)]
@@ -297,7 +299,7 @@ def _written(likelihood, found, larger, held_out, further, named):
 
     def is_written(state, alone=found.before):
         return is_safe(state, alone) and (held_out.other or _may_stand_in(
-            likelihood, held_out, state, found.before, named))
+            likelihood, held_out, state, (found.before, given), named))
     others = [one for one in (
         found.before, larger.best, *(best[size] for size in sorted(best)[:_SIZES]), *further)
         if (one.key(known) or is_plausible(one)) and is_written(one)]
@@ -320,22 +322,22 @@ def _written(likelihood, found, larger, held_out, further, named):
             else other)
 
 
-def _may_stand_in(likelihood, held_out, state, before, named):
+def _may_stand_in(likelihood, held_out, state, without, named):
     """
     Return whether a State may be written that may have other effects than those ``named``.
 
-    Others must explain more than they leave, of what the State ``before`` leaves in the joints
-    on which they act. Blocks of a recording are much like what was fitted: what only resembles
-    the cause must show more there than on other recordings.
+    Others must explain more than they leave, of what the better of the States ``without`` effects
+    leaves in the joints on which they act. Blocks of a recording are much like what was fitted:
+    what only resembles the cause must show more there than on other recordings.
     """
     owners = {joint for _, joint in state.key(likelihood.known) - named.keys()}
     if not owners:
         return True
     joints = likelihood.robot.joints
     acted = [joint in owners or not owners.issubset(joints) for joint in joints]  # or all
-    left, whole = (np.sum((held_out.errors(one).torque / likelihood.coulomb)[acted] ** 2)
-                   for one in (state, before))
-    return left < thresholds.MOST_LEFT * whole
+    left, *whole = (np.sum((held_out.errors(one).torque / likelihood.coulomb)[acted] ** 2)
+                    for one in (state, *without))
+    return left < thresholds.MOST_LEFT * min(whole)
 
 
 def _tried(found):
