@@ -8,7 +8,7 @@ import re
 from gms_flex_control.cli.main import main
 from gms_flex_control.cli.recordings import suspicions
 from gms_flex_control.data.csv_import import estimate_velocity, import_csv
-from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.reader import joint_names, read_recording
 from gms_flex_control.errors import ImportDataError
 import numpy as np
 import pytest
@@ -75,6 +75,26 @@ def test_the_verb_writes_a_bag_that_reads_back_as_the_log(load, tmp_path, capsys
     for name in ('time', 'q_link', 'q_motor', 'tau_motor'):
         np.testing.assert_allclose(getattr(back, name), getattr(direct, name), atol=1e-9)
     np.testing.assert_array_equal(back.reference[:, 0], direct.reference[:, 0])
+
+
+def test_a_joint_whose_motor_alone_has_an_encoder_is_read_as_such(load, tmp_path, capsys):
+    """The bag has the motor in the joint's place, beside a joint that is seen on both sides."""
+    load({'t': T, 'q': Q, 'm': Q + 0.01, 'i': np.cos(T)}, PLAIN + """\
+    motor: m1
+    motor_position: {column: m, unit: rad}
+    torque: {column: i, unit: N m}
+  j2: {motor: m2, motor_position: {column: m, unit: rad}, motor_velocity: {estimate: 0.02},
+       torque: {column: i, unit: N m}}
+""")
+    assert main(['import-csv', str(tmp_path / 'log.csv'), '--map', str(tmp_path / 'map.yaml'),
+                 '--out', str(tmp_path / 'bag')]) == 0
+    assert 'not recorded' not in capsys.readouterr().out
+    assert joint_names(tmp_path / 'bag') == ('j1', 'm1', 'm2')
+    back = read_recording(tmp_path / 'bag', ['j1', 'j2'], ['m1', 'm2'])
+    np.testing.assert_allclose(back.q_link[:, 0], Q, atol=1e-9)
+    np.testing.assert_allclose(back.q_motor, np.stack([Q + 0.01] * 2, axis=1), atol=1e-9)
+    np.testing.assert_allclose(back.tau_motor[:, 1], np.cos(T), atol=1e-9)
+    assert np.isnan(back.q_link[:, 1]).all() and np.isnan(back.dq_link[:, 1]).all()
 
 
 @pytest.mark.parametrize(('unit', 'factor'), [

@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 from functools import cache
+import re
 
 from bench.hidden_robots.motions import draw_reference
 from bench.identification_simulated import simulate_identification
@@ -14,6 +15,7 @@ from gms_flex_control.identification.believed_arm import Believed
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.identify import Data
 from gms_flex_control.identification.objective import Objective
+from gms_flex_control.identification.recording_checks import check
 from gms_flex_control.params.robot import EffectSpec
 from identified_axis import axis, GAINS, JOINT, part, PLAN
 import numpy as np
@@ -103,6 +105,13 @@ def test_an_effect_that_is_indistinguishable_is_refused_by_name(name, values):
         believed_model(robot)
     with pytest.warns(UserWarning, match='left out'):
         assert believed_model(robot, force=True).effects == ()
+
+
+def test_a_flexible_joint_whose_link_nobody_sees_is_refused_with_the_way_out():
+    recording, _ = part(recorded('backlash', False), 0.0, 10.0)
+    unseen = replace(recording, q_link=np.full_like(recording.q_link, np.nan))
+    said = [one.text for one in check(unseen, axis()) if one.severity == 'refuse']
+    assert re.search(f'discrepancy computes .* as rigid, .* {JOINT}_motor', *said)
 
 
 def test_where_the_arm_is_estimated_effects_are_refused_but_the_one_found_anew():

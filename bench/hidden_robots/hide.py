@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """`python -m bench hide`: bags of robots with a hidden effect, and the truth beside them."""
 
-from dataclasses import replace
 from functools import partial
 import json
 import os
@@ -16,7 +15,6 @@ from gms_flex_control.file_io import write_text
 from gms_flex_control.reports.discrepancy_values import described
 from gms_flex_control.schema.build import controller_values
 from gms_flex_control.schema.files import save_robot, save_values
-import numpy as np
 
 VERB = Verb(
     'hide', lambda args: run(args), 'bags of simulated robots in which an effect is hidden',
@@ -78,7 +76,7 @@ def write_case(case, folder):
     part.mkdir(parents=True)
     try:
         for name, recording in (('bag', case.recording), ('held_out', case.held_out)):
-            write_recording(part / name, *as_named(recording, case.nominal.motors))
+            write_recording(part / name, recording, case.nominal.motors)
         save_robot(case.nominal, part / 'robot.yaml')
         if case.gains is not None:
             save_values(controller_values(case.gains, case.nominal.joints),
@@ -107,16 +105,3 @@ def truth_values(truth):
                 kind: float(error[j]) for kind, error in truth.belief_errors.items()}
                 for j, joint in enumerate(truth.robot.joints)},
             'torque_noise': truth.torque_noise.tolist()}
-
-
-def as_named(recording, motors):
-    """
-    Return a case's Recording as a bag has it, and the motor names of its joints.
-
-    The motors stand for joints where nobody sees the links.
-    """
-    if np.isfinite(recording.q_link).any():
-        return recording, motors
-    nothing = np.full_like(recording.q_motor, np.nan)
-    return replace(recording, joints=tuple(motors), q_link=recording.q_motor, q_motor=nothing,
-                   dq_link=recording.dq_motor, dq_motor=nothing), [''] * len(motors)

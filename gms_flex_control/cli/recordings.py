@@ -58,7 +58,7 @@ def import_csv(args) -> int:
 
 def suspicions(recording) -> list[str]:
     """Return what the checks of `identify` find in a recording of a robot that is not known."""
-    found = check(recording, rigid_joints(recording.joints), rough=True)
+    found = check(recording.by_motors(), rigid_joints(recording.joints), rough=True)
     return [one.text for one in found if one.kind != 'torque_scale']  # of inertia, not known yet
 
 

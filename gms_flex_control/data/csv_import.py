@@ -279,7 +279,7 @@ def currents_in(import_map) -> list:
 def sliding(import_map) -> list:
     """Return the joints that are linear axes."""
     return [joint.name for joint in import_map.joints
-            if joint.channels['link_position'].unit in csv_map.LENGTH]
+            if joint.angle.unit in csv_map.LENGTH]
 
 
 def _units_kept(import_map):
@@ -297,14 +297,14 @@ def _units_kept(import_map):
 def _units_doubted(import_map):
     """Yield a torque beside a position along a slide, and a force beside an angle."""
     for joint in import_map.joints:
-        slides = joint.channels['link_position'].unit in csv_map.LENGTH
+        slides = joint.angle.unit in csv_map.LENGTH
         for name in ('torque', 'command'):
             channel = joint.channels.get(name)
             if channel is None or slides == (channel.unit in csv_map.FORCE) or (
                     csv_map.TORQUE[channel.unit] is None) or channel.gear_ratio != 1:
                 continue
             yield (f'{joint.name}.{name} is in {channel.unit!r} beside a position in '
-                   f'{joint.channels["link_position"].unit!r}; ' + (
+                   f'{joint.angle.unit!r}; ' + (
                        'give the force at the slide: gear_ratio: 2 pi over the lead of the screw '
                        '[rad/m]' if slides else 'give the torque: scale: the lever arm [m]'))
 

@@ -108,6 +108,11 @@ class JointColumns(NamedTuple):
     motor: str
     channels: dict
 
+    @property
+    def angle(self) -> 'Channel':
+        """Return the channel of its link angle, of its motor angle where nobody sees the link."""
+        return self.channels.get('link_position') or self.channels['motor_position']
+
 
 @dataclass(frozen=True, kw_only=True)
 class ImportMap:
@@ -175,9 +180,11 @@ def _time(node):
 def _joint(node, name):
     node.only('motor', *CHANNELS)
     channels = {key: _channel(node, key) for key in node.keys() if key != 'motor'}
-    if 'link_position' not in channels:
-        raise node.wrong('has no link_position; a joint with one encoder only has it as its '
-                         'link_position, without motor')
+    if not {'link_position', 'motor_position'} & set(channels):
+        raise node.wrong('has neither link_position nor motor_position; a rigid joint has its '
+                         'encoder as link_position, without motor')
+    if 'link_velocity' in channels and 'link_position' not in channels:
+        raise node.wrong('has link_velocity but no link_position; leave it out, or map both')
     motor = node.value('motor', 'text', '')
     used = [key for key in channels if key.startswith('motor_')]
     if used and not motor:

@@ -106,6 +106,15 @@ class Recording:
         return replace(self, joints=tuple(joints), coupling=coupling, **{
             name: getattr(self, name)[..., columns] for name in _OF_JOINTS})
 
+    def by_motors(self) -> 'Recording':
+        """Return the Recording with a motor in its joint's place where nobody sees the link."""
+        unseen = ~np.isfinite(self.q_link).any(axis=0)
+        return replace(
+            self, q_link=np.where(unseen, self.q_motor, self.q_link),
+            dq_link=np.where(unseen, self.dq_motor, self.dq_link),
+            q_motor=np.where(unseen, np.nan, self.q_motor),
+            dq_motor=np.where(unseen, np.nan, self.dq_motor))
+
     def of_samples(self, rows) -> 'Recording':
         """Return the Recording of some samples (T,), a mask, or numbers that increase."""
         return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)

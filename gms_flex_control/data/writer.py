@@ -251,11 +251,14 @@ def _series(recording, motors, stamps, topics, source):
     rigid = [k for k, name in enumerate(motors) if not name]
     link_effort = np.full(recording.q_link.shape, np.nan)
     link_effort[:, rigid] = recording.tau_motor[:, rigid]
-    names = (*recording.joints, *(motors[k] for k in sides))
+    # a motor stands for its joint where nobody sees the link
+    seen = [k for k, name in enumerate(motors)
+            if not name or np.isfinite(recording.q_link[:, k]).any()]
+    names = (*(recording.joints[k] for k in seen), *(motors[k] for k in sides))
     yield topics.joint_states, cdr.JOINT_STATE, cdr.pack_joint_states(
-        names, stamps, np.hstack([recording.q_link, recording.q_motor[:, sides]]),
-        np.hstack([recording.dq_link, recording.dq_motor[:, sides]]),
-        np.hstack([link_effort, recording.tau_motor[:, sides]]))
+        names, stamps, np.hstack([recording.q_link[:, seen], recording.q_motor[:, sides]]),
+        np.hstack([recording.dq_link[:, seen], recording.dq_motor[:, sides]]),
+        np.hstack([link_effort[:, seen], recording.tau_motor[:, sides]]))
     if not np.all(np.isnan(recording.reference)):
         yield topics.reference, cdr.MULTI_ARRAY, _packed(
             recording.reference, stamps, cdr.pack_reference)

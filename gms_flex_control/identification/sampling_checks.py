@@ -2,7 +2,7 @@
 """Faults of stamps, angles and rates: lost samples, jumps, frozen values, too little motion."""
 
 from gms_flex_control.data import signal_analysis as analysis
-from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.recording import MOTOR_SUFFIX, Recording
 from gms_flex_control.identification import check_limits as limits
 from gms_flex_control.identification.check_basis import Finding, sides
 from gms_flex_control.params.robot import RobotParams
@@ -79,12 +79,24 @@ def missing(signals: Recording, robot: RobotParams) -> list[Finding]:
         flexible = not robot.arm.rigid[j]
         channels = [('link angle', signals.q_link[:, j], True),
                     ('torque', signals.tau_motor[2:, j], not flexible)]
+        if flexible and _of_motor_alone(signals, j):
+            found.append(Finding('missing', joint, 'refuse', (
+                f'{signals.source}: the link angle of {joint} was not recorded, from which the '
+                'friction of a flexible joint is identified; gms_flex discrepancy computes it '
+                'from the motor angle, or describe the joint as rigid, under the name of its '
+                f'motor, {robot.motors[j] or joint + MOTOR_SUFFIX}')))
+            channels = channels[1:]
         if flexible:
             no_torsion = not np.isfinite(signals.tau_motor[2:, j]).any()
             channels.insert(1, ('motor angle', signals.q_motor[:, j], no_torsion))
         for name, values, needed in channels:
             found += _holes(signals, joint, name, values, needed)
     return found
+
+
+def _of_motor_alone(signals, j):
+    return (np.isfinite(signals.q_motor[:, j]).any()
+            and not np.isfinite(signals.q_link[:, j]).any())
 
 
 def _holes(signals, joint, name, values, needed):
