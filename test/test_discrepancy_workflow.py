@@ -14,7 +14,8 @@ from gms_flex_control.discrepancy.describe import named as described
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, Signature, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
-from gms_flex_control.errors import BagError, SimulationError
+from gms_flex_control.errors import BagError, IdentificationError, SimulationError
+from gms_flex_control.identification.assumed_robot import believed_model
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.reports.answers import discrepancy_answer
 from gms_flex_control.reports.discrepancy_values import report_values
@@ -152,6 +153,25 @@ def test_an_answer_says_where_errors_are_noise_without_the_effects_as_well(named
     loud = replace(quiet, floor=0.5 * gap.retuned)
     said = discrepancy_answer(replace(result, gap=loud), tmp_path).sentence
     assert 'the residual torque grows by 3 %' in said and said.count('either way') == 1
+
+
+@pytest.mark.parametrize('name', registry.names())
+def test_the_next_command_takes_the_model_that_was_written(named, tmp_path, name):
+    """Friction that `identify` does not find is tried on the data held out, then controlled."""
+    _, result = named
+    kind = registry.find(name)
+    spec = EffectSpec(name=name, joint='arm' if kind.whole_arm else 'joint1', values=tuple(
+        max(one.lower, 0.1) if one.upper > 0.1 else one.upper for one in kind.parameters))
+    result = replace(result, robot=replace(result.robot, effects=(spec,)))
+    model = f"--robot {tmp_path / 'robot.yaml'} "
+    said = discrepancy_answer(result, tmp_path, ['held_out']).command.partition('gms_flex ')[2]
+    try:
+        believed_model(result.robot)
+        assert said.startswith('identify ') and model in said
+    except IdentificationError:
+        assert said.startswith(f'discrepancy held_out {model}')
+        said = discrepancy_answer(replace(result, verdict=COMPLETE), tmp_path).command
+        assert f'gms_flex tune {model}--torque-limit' in said
 
 
 def test_one_joint_is_named_where_another_is_unexplained(tmp_path):

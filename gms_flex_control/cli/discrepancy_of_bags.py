@@ -108,7 +108,8 @@ def _printed(result, compared, values, args):
         return end(args, values, code=2)
     text = (fill(words(result.details), _WIDTH, break_on_hyphens=False),
             compared and f'\n{files.comparison_text(compared, result.gap.joints)}')
-    return end(args, values, '\n'.join(filter(None, text)), discrepancy_answer(result, out), {
+    answer = discrepancy_answer(result, out, args.holdout)
+    return end(args, values, '\n'.join(filter(None, text)), answer, {
         'model': out / 'robot.yaml', 'report': out / 'report.html',
         'numbers': out / 'report.json'}, words, int(result.verdict != COMPLETE))
 

@@ -105,6 +105,11 @@ def believed_model(robot: RobotParams, whole=False, force=False) -> RobotParams:
     return effect_table.with_changes(replace(robot, effects=tuple(kept)))
 
 
+def refusals(robot: RobotParams) -> list[str]:
+    """Return why effects of a robot cannot be respected (str each), by `identify` as it is."""
+    return [reason for spec in robot.effects if (reason := _reason(robot, spec, whole=False))]
+
+
 def _reason(robot, spec, whole):
     """Return why an effect cannot be respected, '' if it can."""
     kind, name = find(spec.name), f'effects.{spec.joint}.{spec.name}'

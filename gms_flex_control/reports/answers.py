@@ -8,7 +8,9 @@ from textwrap import fill
 from gms_flex_control.answer import align, Answer, command, measured, Number
 from gms_flex_control.data.conditions import file_of
 from gms_flex_control.discrepancy import describe
+from gms_flex_control.discrepancy.result import FOUND
 from gms_flex_control.identification import outcome
+from gms_flex_control.identification.assumed_robot import refusals
 from gms_flex_control.identification.output import condition_files
 import numpy as np
 
@@ -140,22 +142,40 @@ def _identified(identification, worst):
             'leave.')
 
 
-def discrepancy_answer(result, folder) -> Answer:
-    """Return what the model lacks and how much closer it came (Answer); robot.yaml in a folder."""
+def discrepancy_answer(result, folder, holdout=()) -> Answer:
+    """
+    Return what the model lacks and how much closer it came (Answer).
+
+    robot.yaml is in ``folder``; ``holdout`` are the bags held out, paths.
+    """
     if result.gap is None:
         return Answer(result.data.faults[0] if result.data.faults else result.words, (), (),
                       command('info', *result.data.sources))
     torque, angle = gap_numbers(result.gap)
     numbers = [torque[0], angle[0], *_values(result), *torque[1:], *angle[1:]]
-    if not result.is_open:
-        after = ('identify', *result.data.sources, '--robot', Path(folder) / 'robot.yaml', '--out',
-                 Path(folder) / 'friction')
-    elif not result.learned:
-        after = ('discrepancy', *result.data.sources, '--robot', Path(folder) / 'robot.yaml',
-                 '--learn', '--out', Path(folder) / 'learned')
-    else:
-        after = 'simulate', '--robot', Path(folder) / 'robot.yaml', '--out', 'simulated'
-    return Answer(_lacking(result), COLUMNS, tuple(numbers[:3]), command(*after))
+    return Answer(_lacking(result), COLUMNS, tuple(numbers[:3]),
+                  command(*_next_of(result, Path(folder), holdout)))
+
+
+def _next_of(result, folder, holdout):
+    """
+    Return the words of the command that follows a Discrepancy whose robot.yaml is in ``folder``.
+
+    Where `identify` finds no friction beside what the robot has, the written friction is the
+    result: other data try it, and a model that lacks nothing is controlled, with torques and
+    travel as recorded.
+    """
+    model, bags, likelihood = folder / 'robot.yaml', result.data.sources, result.behind.likelihood
+    if result.is_open and not result.learned:
+        return 'discrepancy', *bags, '--robot', model, '--learn', '--out', folder / 'learned'
+    if not (result.is_open or refusals(result.robot) or likelihood.unseen):
+        return 'identify', *bags, '--robot', model, '--out', folder / 'friction'
+    if result.verdict == FOUND and not result.learned:
+        return 'discrepancy', *(holdout or bags), '--robot', model, '--out', folder / 'again'
+    recorded = [likelihood.scales_of(joint) for joint in result.robot.joints]
+    return ('tune', '--robot', model, '--torque-limit', *(f'{one.torque:.3g}' for one in recorded),
+            '--amplitude', f'{0.5 * max(one.travel.span for one in recorded):.2g}',
+            '--out', folder / 'tuned')
 
 
 def gap_numbers(gap) -> tuple:

@@ -31,8 +31,9 @@ MOST_JOINTS = 3       # with maps and courses of their residual: those farthest 
 def write_discrepancy_report(result, folder, *, holdout=(), models=()) -> list:
     """Write report.html and PNGs of a Discrepancy; return the paths, the page first."""
     folder = Path(folder)
-    report = Report(TITLES[result.verdict], discrepancy_answer(result, folder),
-                    ', '.join(result.data.sources), units_of(result))
+    answer = discrepancy_answer(result, folder, [recording.source for recording in holdout])
+    report = Report(TITLES[result.verdict], answer, ', '.join(result.data.sources),
+                    units_of(result))
     pictures = add_discrepancy(report, result, folder, holdout=holdout, models=models)
     return [report.write(folder / 'report.html'), *pictures]
 
