@@ -119,10 +119,11 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
             raise IdentificationError(f'{unknown}: its load is unknown, so that nothing can be '
                                       'predicted; give this recording to be fitted as well')
         currents = _currents_of(recordings, robot, whole)
-        together = model.arm.kind == 'planar' and model.n_joints > 1
-        data, fits = _fitted(Data(recordings, holdouts, model, whole=whole, alone=not together),
+        in_space = model.arm.frames is not None
+        data, fits = _fitted(Data(recordings, holdouts, model, whole=whole, alone=in_space),
                              options, say)
-        if together and not whole and data.unexplained(fits).max() > NEXT_TO_NOTHING:
+        if (model.arm.kind == 'planar' and model.n_joints > 1 and not whole
+                and data.unexplained(fits).max() > NEXT_TO_NOTHING):
             say('each joint by itself')
             data, fits = _better((data, fits), _fitted(
                 Data(recordings, holdouts, model), options, say))
