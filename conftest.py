@@ -80,7 +80,7 @@ def pytest_runtest_setup(item):
     Let real nodes have all cores, other tests that run beside them one of their own.
 
     A computation with a thread per core would starve the nodes of a test in another process. The
-    process that has the nodes computes when there are none left, on whichever core is free.
+    process of the node tests computes once these are done, on whichever core is free.
     """
     if getattr(item, 'execution_count', 1) > 1:
         _begin_anew(item)

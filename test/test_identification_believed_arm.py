@@ -105,7 +105,7 @@ def test_an_axis_that_slides_is_believed_as_one_that_turns():
 
 @pytest.mark.parametrize('mass', [0.5, 1.0])
 def test_a_load_does_not_soften_springs_that_are_as_stiff_as_their_motors_say(robot, gains, mass):
-    """Without gravity heavier links are as softer springs: nothing but the motors tells them."""
+    """Without gravity heavier links are as softer springs: the motors alone distinguish them."""
     time = np.arange(15000) * 2e-3
     reference = draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
     payload = EffectSpec(name='tip_payload', joint='arm', values=(mass,))

@@ -106,14 +106,19 @@ class Recording:
         return replace(self, joints=tuple(joints), coupling=coupling, **{
             name: getattr(self, name)[..., columns] for name in _OF_JOINTS})
 
+    @property
+    def links_seen(self) -> np.ndarray:
+        """Return of which joints the link angle was read at all, bool (n,)."""
+        return np.isfinite(self.q_link).any(axis=0)
+
     def by_motors(self) -> 'Recording':
         """Return the Recording with a motor in its joint's place where nobody sees the link."""
-        unseen = ~np.isfinite(self.q_link).any(axis=0)
+        seen = self.links_seen
         return replace(
-            self, q_link=np.where(unseen, self.q_motor, self.q_link),
-            dq_link=np.where(unseen, self.dq_motor, self.dq_link),
-            q_motor=np.where(unseen, np.nan, self.q_motor),
-            dq_motor=np.where(unseen, np.nan, self.dq_motor))
+            self, q_link=np.where(seen, self.q_link, self.q_motor),
+            dq_link=np.where(seen, self.dq_link, self.dq_motor),
+            q_motor=np.where(seen, self.q_motor, np.nan),
+            dq_motor=np.where(seen, self.dq_motor, np.nan))
 
     def of_samples(self, rows) -> 'Recording':
         """Return the Recording of some samples (T,), a mask, or numbers that increase."""

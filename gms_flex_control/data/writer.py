@@ -252,8 +252,7 @@ def _series(recording, motors, stamps, topics, source):
     link_effort = np.full(recording.q_link.shape, np.nan)
     link_effort[:, rigid] = recording.tau_motor[:, rigid]
     # a motor stands for its joint where nobody sees the link
-    seen = [k for k, name in enumerate(motors)
-            if not name or np.isfinite(recording.q_link[:, k]).any()]
+    seen = [k for k, name in enumerate(motors) if not name or recording.links_seen[k]]
     names = (*(recording.joints[k] for k in seen), *(motors[k] for k in sides))
     yield topics.joint_states, cdr.JOINT_STATE, cdr.pack_joint_states(
         names, stamps, np.hstack([recording.q_link[:, seen], recording.q_motor[:, sides]]),

@@ -165,7 +165,7 @@ def unseen_links(recording, robot) -> tuple:
     """Return the flexible joints of which only the motor was recorded, tuple of UnseenLink."""
     arm, found, inertias = robot.arm, [], own_inertia(plant.constants_of(robot).chain)[0]
     for j in range(robot.n_joints):
-        if (arm.rigid[j] or np.isfinite(recording.q_link[:, j]).any()
+        if (arm.rigid[j] or recording.links_seen[j]
                 or not np.isfinite(recording.q_motor[:, j]).any()):
             continue
         stiffness, inertia = float(arm.stiffness[j]), float(arm.motor_inertia[j])

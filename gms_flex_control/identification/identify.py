@@ -120,13 +120,12 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
                                       'predicted; give this recording to be fitted as well')
         currents = _currents_of(recordings, robot, whole)
         in_space = model.arm.frames is not None
-        data, fits = _fitted(Data(recordings, holdouts, model, whole=whole, alone=in_space),
-                             options, say)
+        first = Data(recordings, holdouts, model, whole=whole, alone=in_space)
+        data, fits = _fitted(first, options, say)
         if (model.arm.kind == 'planar' and model.n_joints > 1 and not whole
                 and data.unexplained(fits).max() > NEXT_TO_NOTHING):
             say('each joint by itself')
-            data, fits = _better((data, fits), _fitted(
-                Data(recordings, holdouts, model), options, say))
+            data, fits = _better((data, fits), _fitted(first.each_alone(), options, say))
         if words := data.words():
             warnings.warn(words, stacklevel=2)
         say('intervals and errors on data held out')
@@ -300,6 +299,10 @@ class Data:
                   for j, fit in zip(self.fitted, fits, strict=True)}
         return Data(*self._given, alone=self._alone, beside=believed(
             self._recordings, self.described, thetas, self._beside.arm))
+
+    def each_alone(self) -> Self:
+        """Return the Data in which the others move as measured, beside the same arm."""
+        return Data(*self._given, beside=self._beside)
 
     def words(self) -> str:
         """Return a sentence of what is other than described, '' where nothing is."""

@@ -95,8 +95,7 @@ def missing(signals: Recording, robot: RobotParams) -> list[Finding]:
 
 
 def _of_motor_alone(signals, j):
-    return (np.isfinite(signals.q_motor[:, j]).any()
-            and not np.isfinite(signals.q_link[:, j]).any())
+    return np.isfinite(signals.q_motor[:, j]).any() and not signals.links_seen[j]
 
 
 def _holes(signals, joint, name, values, needed):

@@ -68,12 +68,12 @@ class JointFit(NamedTuple):
 
         Held by the motion, they take part of the levels without being friction.
         """
-        idle = np.exp(self.free[self.coordinates.yields]) >= reach
-        fewer = int(np.sum(~idle))
+        yields = self.coordinates.yields
+        idle = yields.start + np.flatnonzero(np.exp(self.free[yields]) >= reach)
+        fewer = self.coordinates.n_blocks - len(idle)
         if fewer in (0, self.coordinates.n_blocks):
             return self
         coordinates, free = equal_blocks(slipping(self.theta, reach), fewer)
-        idle = self.coordinates.yields.start + np.flatnonzero(idle)
         return self._replace(
             coordinates=coordinates, free=free, prior=prior_of(coordinates, free), held=free,
             sampling=np.delete(self.sampling, idle), ends=(),
