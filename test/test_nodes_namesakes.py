@@ -67,7 +67,8 @@ def lab(tmp_path_factory):  # behind tests without it, which it would slow down
     with Lab(tmp_path_factory.mktemp('namesakes')) as running:
         running.first = [start(running, name) for name in THREE]
         running.states, running.commands = running.hear('states', 'commands')
-        running.until(lambda: running.states and max(running.states[-1].effort[2:]) > 0.01)
+        running.until(lambda: running.commands and running.states
+                      and max(running.states[-1].effort[2:]) > 0.01)
         yield running
 
 
@@ -80,6 +81,7 @@ def test_a_second_node_of_one_name_ends_with_a_sentence_and_says_nothing(lab, na
     # on a busy machine it says as well that it takes long
     assert re.fullmatch(rf'(.*: still starting: .*\n)?{name}: {RUNS}.*\n', second.printed())
     lab.more(lab.states, 50)
+    lab.more(lab.commands, 50)
     assert all(process.runs for process in lab.first)
     assert 'at once' not in ''.join(process.printed() for process in lab.first)
     stamps = np.array([stamp_of(state) for state in lab.states[begin:]])
