@@ -54,7 +54,7 @@ def test_friction_is_seen_where_no_quarter_second_goes_one_way(frequency):
     torque = inertia * held + friction * np.sign(rate)
     segment = Segment(begin=0.0, angle=angle, rate=rate, acceleration=-turn ** 2 * angle,
                       torque=torque, tested=np.ones_like(rate, dtype=bool),
-                      phase=np.full(len(time), ''), source='sine')
+                      phase=np.full(len(time), ''), source='sine', factor=np.ones_like(rate))
     found = friction_map([segment], single_axis(FRICTIONLESS, inertia).arm, 0, 1e-3, 1e-6)
     for way in (1.0, -1.0):
         rows = way * found.velocity > 0.0
@@ -74,7 +74,8 @@ def test_repeatability_is_the_spread_of_friction_among_strokes_not_of_torques_at
     segment = Segment(begin=0.0, angle=np.cumsum(rate, axis=0) * 1e-3, rate=rate,
                       acceleration=np.zeros_like(rate), torque=np.array(torque)[:, None],
                       tested=np.ones_like(rate, dtype=bool),
-                      phase=np.full(len(rate), 'constant_velocity'), source='strokes')
+                      phase=np.full(len(rate), 'constant_velocity'), source='strokes',
+                      factor=np.ones_like(rate))
     arm = single_axis(FRICTIONLESS, 0.02).arm
     assert repeatability([segment], arm, 0, 1e-3, 1e-6) == pytest.approx(
         np.sqrt(np.mean(np.var(levels, axis=0, ddof=1))), rel=1e-3)

@@ -8,9 +8,10 @@ import re
 from bench.hidden_robots.motions import draw_reference
 from bench.identification_simulated import simulate_identification
 from discrepancy_runs import driven
+from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.experiment.identification_plan import plan_identification
-from gms_flex_control.identification.assumed_robot import believed_model, cleared
+from gms_flex_control.identification.assumed_robot import believed_model, cleared, with_actuators
 from gms_flex_control.identification.believed_arm import Believed
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.identify import Data
@@ -24,6 +25,8 @@ import pytest
 STRONG = {
     'constant_link_torque': (0.03,), 'quadratic_drag': (0.05,), 'spring_offset': (0.02,),
     'spring_cubic': (60.0,), 'backlash': (0.02,),
+    'position_friction': (0.3, 4.0, 0.0), 'load_friction': (0.3, 0.001),
+    'friction_drift': (2.0, 60.0), 'friction_hysteresis': (0.03, 0.005),
     'spring_hysteresis': (0.02, 0.005), 'stiffness_error': (0.2,), 'stiffness_drift': (0.3, 60.0)}
 
 
@@ -32,13 +35,18 @@ def specs(*names):
     return tuple(EffectSpec(name=name, joint=JOINT, values=STRONG[name]) for name in names)
 
 
+def plan_of(robot):
+    """Return the plan of slow and fast strokes."""
+    return plan_identification(
+        {f'identification.{key}': value for key, value in PLAN.items()}, robot, GAINS)
+
+
 @cache
 def recorded(name, rigid):
     """Return a recording of slow and fast strokes of an axis that has an effect."""
-    plan = plan_identification(
-        {f'identification.{key}': value for key, value in PLAN.items()}, axis(rigid=rigid), GAINS)
-    robot = replace(axis(rigid=rigid), effects=specs(name))
-    return simulate_identification(plan, robot, GAINS, 1, rate=500, model=robot)
+    plain = axis(rigid=rigid)
+    robot = replace(plain, effects=specs(name))
+    return simulate_identification(plan_of(plain), robot, GAINS, 1, rate=500, model=robot)
 
 
 def steady_error(name, effects, rigid):
@@ -56,12 +64,29 @@ def steady_error(name, effects, rigid):
 
 @pytest.mark.parametrize(('name', 'rigid'), [
     *((name, False) for name in STRONG), ('constant_link_torque', True),
-    ('quadratic_drag', True)])
+    ('quadratic_drag', True), ('position_friction', True), ('load_friction', True)])
 def test_an_effect_that_is_named_does_not_end_in_the_friction(name, rigid):
     """With it the steady friction is near the truth, without it farther off."""
     known, ignored = (steady_error(name, effects, rigid) for effects in (specs(name), ()))
     assert known < 0.09
     assert ignored > 2.0 * known
+
+
+@pytest.mark.parametrize('name', ['actuator_lag', 'torque_gain', 'input_delay'])
+def test_torques_that_acted_follow_from_commands_where_drives_have_effects(name):
+    """As the simulated drive applied them, from commands, or from efforts that were commands."""
+    values = {'actuator_lag': (0.02,), 'torque_gain': (0.3,), 'input_delay': (0.01,)}[name]
+    drive = replace(axis(rigid=True), effects=(
+        EffectSpec(name=name, joint=JOINT, values=values),))
+    recording, _ = simulate_identification(plan_of(drive), drive, GAINS, 1, torque_noise=0.0)
+    acted, asked = recording.tau_motor[1:], recording.command[:-1]
+    assert rms(asked - acted) > 0.1 * rms(acted)
+    commands_alone = replace(recording, tau_motor=np.full_like(recording.tau_motor, np.nan))
+    efforts_alone = replace(recording, command=np.full_like(recording.command, np.nan),
+                            tau_motor=np.roll(recording.command, 1, axis=0))
+    for one in (commands_alone, efforts_alone):
+        assert rms(with_actuators(one, drive).tau_motor[1:] - acted) < 0.01 * rms(acted)
+    assert with_actuators(recording, axis(rigid=True)) is recording
 
 
 def test_errors_of_encoders_are_taken_off_the_readings():
@@ -96,7 +121,7 @@ def test_a_late_encoder_is_cleared_where_its_motor_is_quick():
 
 @pytest.mark.parametrize(('name', 'values'), [
     ('coulomb_error', (0.1,)), ('stribeck_error', (0.1,)), ('presliding_error', (0.1, 0.0)),
-    ('viscous_error', (0.1,)), ('position_friction', (0.1, 10.0, 0.0)),
+    ('viscous_error', (0.1,)),
     ('base_flexibility', (5.0, 1.0, 0.05))])
 def test_an_effect_that_is_indistinguishable_is_refused_by_name(name, values):
     """What changes the friction itself would be counted twice; with force it is left out."""

@@ -16,7 +16,7 @@ from gms_flex_control.identification.output import (
     condition_files,
     friction_values,
     report_json,
-    uncertainty_values,
+    uncertainty_of,
     write_friction,
 )
 from gms_flex_control.params.robot import UNCERTAIN
@@ -58,6 +58,7 @@ def same_friction(a, b):
 def test_friction_yaml_loads_after_the_robot_file_and_equals(tmp_path, joints):
     from gms_flex_control.schema.files import save_robot
     made = identification(joints)
+    made = replace(made, robot=replace(made.robot, identified_from=('bag, 60.000 s',)))
     write_friction(made, tmp_path / 'friction.yaml')
     save_robot(made.believed, tmp_path / 'robot.yaml')
     robot = load_robot([tmp_path / 'robot.yaml', tmp_path / 'friction.yaml'])
@@ -65,6 +66,7 @@ def test_friction_yaml_loads_after_the_robot_file_and_equals(tmp_path, joints):
     np.testing.assert_array_equal(robot.arm.inertia, made.believed.arm.inertia)
     np.testing.assert_array_equal(robot.arm.stiffness, made.believed.arm.stiffness)
     assert robot.motors == made.believed.motors
+    assert robot.identified_from == ('bag, 60.000 s',)
     load_controller([controller_file(), tmp_path / 'friction.yaml'], load_robot(robot_file()))
 
 
@@ -79,14 +81,14 @@ def test_friction_yaml_holds_friction_alone_and_no_empty_blocks(tmp_path):
 def test_friction_that_the_data_leave_open_is_known_worse_than_usual():
     """Ten per cent of viscous friction, four times what is usual; the other joint as before."""
     made = identification()
-    assert uncertainty_values(made)['uncertainty.joint1.viscous'] < 0.1
+    assert uncertainty_of(made)['viscous', 'joint1'] < 0.1
     opened = edited(made, estimates=tuple(
         one._replace(flags=(NOT_IDENTIFIABLE,)) if one.name.endswith('viscous') else one
         for one in made.joints[0].estimates))
-    values = uncertainty_values(opened)
-    assert values['uncertainty.joint1.viscous'] == pytest.approx(4.0 * UNCERTAIN['viscous'].sd)
-    assert values | {'uncertainty.joint1.viscous': 0.0} == uncertainty_values(made) | {
-        'uncertainty.joint1.viscous': 0.0}
+    values = uncertainty_of(opened)
+    assert values['viscous', 'joint1'] == pytest.approx(4.0 * UNCERTAIN['viscous'].sd)
+    assert values | {('viscous', 'joint1'): 0.0} == uncertainty_of(made) | {
+        ('viscous', 'joint1'): 0.0}
 
 
 def test_an_arm_is_known_as_its_intervals_say_and_what_is_open_worse_than_usual():
@@ -102,21 +104,21 @@ def test_an_arm_is_known_as_its_intervals_say_and_what_is_open_worse_than_usual(
         estimated('arm.joint1.damping', 'N m s/rad', 0.1, 0.0001),
         estimated('arm.joint1.motor_inertia', 'kg m^2', 0.1, 0.09, known=False),
         estimated('arm.joint1.gravity_torque', 'N m', 2.0, 0.2)))
-    assert 'uncertainty.joint1.motor_inertia' not in uncertainty_values(made)  # as described
+    assert ('motor_inertia', 'joint1') not in uncertainty_of(made)  # as described
     arm = made.believed.arm
     made = replace(made, believed=replace(made.believed, arm=replace(
         arm, motor_inertia=1.5 * arm.motor_inertia)))
-    values = uncertainty_values(made)
-    found = {kind: values.get(f'uncertainty.joint1.{kind}') for kind in UNCERTAIN}
+    values = uncertainty_of(made)
+    found = {kind: values.get((kind, 'joint1')) for kind in UNCERTAIN}
     assert found['stiffness'] == pytest.approx(0.03) and found['gravity'] == pytest.approx(0.1)
     assert found['damping'] == pytest.approx(0.5 * UNCERTAIN['damping'].sd)
     assert found['motor_inertia'] == pytest.approx(4.0 * UNCERTAIN['motor_inertia'].sd)
     assert found['inertia'] is None
     spread = np.array([[0.01, 0.3], [0.2, np.inf], [np.inf, np.inf]])
-    values = uncertainty_values(replace(made, spread=spread))
+    values = uncertainty_of(replace(made, spread=spread))
     for joint, kind, sd in (('joint1', 'gravity', 0.01), ('joint2', 'gravity', 0.06),
                             ('joint1', 'inertia', 0.06), ('joint2', 'inertia', 0.06)):
-        assert values[f'uncertainty.{joint}.{kind}'] == pytest.approx(sd)
+        assert values[kind, joint] == pytest.approx(sd)
 
 
 def test_a_link_of_no_inertia_beside_its_motor_is_open():
@@ -126,7 +128,7 @@ def test_a_link_of_no_inertia_beside_its_motor_is_open():
     made = edited(replace(made, robot=rigid), estimates=(
         *made.joints[0].estimates,
         estimated('arm.joint1.inertia', 'kg m^2', 0.5 * arm.motor_inertia[0], 1e-4)))
-    assert uncertainty_values(made)['uncertainty.joint1.inertia'] == pytest.approx(
+    assert uncertainty_of(made)['inertia', 'joint1'] == pytest.approx(
         4.0 * UNCERTAIN['inertia'].sd)
 
 

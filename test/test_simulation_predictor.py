@@ -10,6 +10,7 @@ from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.coordinates import Coordinates, friction_record, MOST_BLOCKS
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import (
+    EffectSpec,
     EncoderParams,
     FrictionParams,
     RobotParams,
@@ -24,7 +25,7 @@ PERIOD = 1e-3
 STEADY = {'static': [0.108, 0.104], 'coulomb': [0.094, 0.090], 'velocity': [0.05, 0.04],
           'viscous': [0.066, 0.074], 'attraction': 1.5}
 YIELDS = [3e-4, 2e-3, 1e-2]
-OBSERVER = 20.0  # rad/s
+OBSERVER, DRIFTING = 20.0, 2.0  # rad/s, s
 
 
 def arm_of(kind, n):
@@ -52,6 +53,7 @@ class Case:
     joint: int = 0
     n_extra: int = 0
     gain: float = OBSERVER
+    drift: float = 0.0  # relative, of friction over DRIFTING
 
     @property
     def n(self):
@@ -75,6 +77,13 @@ class Case:
         time = PERIOD * np.arange(len(self.torque))
         return np.stack([np.sin(3.0 * time), np.cos(5.0 * time)], axis=1)[:, :self.n_extra].copy()
 
+    @property
+    def factor(self):
+        """Return by what an effect multiplies friction (T, n)."""
+        time = PERIOD * np.arange(len(self.torque))
+        return np.ones((len(time), self.n)) + (
+            self.drift * np.minimum(time / DRIFTING, 1.0))[:, None]
+
     def friction(self, free=None):
         thetas = [self.coordinates.unpack(self.free(j))[0] for j in range(self.n)]
         if free is not None:
@@ -94,7 +103,7 @@ class Case:
         carried = np.array([self.joint, *(j for j in planar if j != self.joint)])
         predictor.predict(
             np.ascontiguousarray(angle), np.zeros(self.n) if rate is None else rate,
-            self.torque, self.extra, theta[len(theta) - self.n_extra:], PERIOD,
+            self.torque, self.factor, self.extra, theta[len(theta) - self.n_extra:], PERIOD,
             chain.constants_of(self.arm), self.friction(free), carried, directions,
             self.gains(), np.full(self.n, half), self.state(), plant.workspace(self.n),
             predicted, innovation, jacobian)
@@ -106,7 +115,9 @@ class Case:
     def driven(self, substeps=1):
         """Return angles and rates (T, n) of the plant under the torque, from rest at zero."""
         names = tuple(f'joint{j + 1}' for j in range(self.n))
-        robot = RobotParams(joints=names, motors=('',) * self.n, arm=self.arm,
+        effects = tuple(EffectSpec(name='friction_drift', joint=name, values=(
+            self.drift, DRIFTING)) for name in names)
+        robot = RobotParams(joints=names, motors=('',) * self.n, arm=self.arm, effects=effects,
                             friction=params_of(self.friction()), encoder=EncoderParams())
         theta, _ = self.coordinates.unpack(self.free(self.joint))
         command = self.torque.copy()
@@ -127,7 +138,8 @@ CASES = {
     'one joint': Case(arm_of('decoupled', 1), torque_of(1)),
     'further torques': Case(arm_of('decoupled', 1), torque_of(1), n_extra=2),
     'second of two decoupled': Case(arm_of('decoupled', 2), torque_of(2), joint=1),
-    'second of two coupled': Case(arm_of('planar', 2), torque_of(2), joint=1)}
+    'second of two coupled': Case(arm_of('planar', 2), torque_of(2), joint=1),
+    'friction that an effect multiplies': Case(arm_of('planar', 2), torque_of(2), drift=-0.4)}
 
 
 def measured(case):
@@ -149,7 +161,7 @@ def test_the_true_parameters_follow_the_plant_to_rounding(name):
 
 @pytest.mark.parametrize(('name', 'tolerance'), [
     ('one joint', 1e-4), ('further torques', 1e-4), ('second of two decoupled', 1e-4),
-    ('second of two coupled', 0.005)])
+    ('second of two coupled', 0.005), ('friction that an effect multiplies', 0.005)])
 def test_derivatives_are_those_of_the_innovation(name, tolerance):
     """Central differences, each free number on its own, rms relative to that of the derivative."""
     case = CASES[name]
@@ -209,7 +221,7 @@ def simulated_freely(case, angle, first, stride, horizon):
     starts = (len(angle) - 1 - horizon - first) // stride + 1
     predicted = np.empty((starts, horizon, case.n))
     predictor.simulate_freely(
-        np.ascontiguousarray(angle), np.zeros(case.n), case.torque, case.extra,
+        np.ascontiguousarray(angle), np.zeros(case.n), case.torque, case.factor, case.extra,
         theta[len(theta) - case.n_extra:], PERIOD, chain.constants_of(case.arm),
         case.friction(), case.joint, case.gains(),
         np.zeros(case.n), first, stride, horizon, case.state(), case.state(),

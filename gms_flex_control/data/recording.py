@@ -2,11 +2,14 @@
 """One experiment as plain arrays, which topics hold it, and its phases."""
 
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.arm import Body
 import numpy as np
+
+COVERED = 0.98  # share of its samples that a torque, or a supply, must cover
 
 
 class Phase(NamedTuple):
@@ -88,6 +91,11 @@ class Recording:
         return len(self.joints)
 
     @property
+    def identity(self) -> str:
+        """Return by what a recording is known again: its name, and its duration [s]."""
+        return f'{Path(self.source).name}, {self.time[-1] - self.time[0]:.3f} s'
+
+    @property
     def has_currents(self) -> bool:
         """Return whether the torques of all joints are currents of unknown torque constant."""
         return bool(np.isinf(self.scale_sd).all())
@@ -110,6 +118,18 @@ class Recording:
     def links_seen(self) -> np.ndarray:
         """Return of which joints the link angle was read at all, bool (n,)."""
         return np.isfinite(self.q_link).any(axis=0)
+
+    @property
+    def has_commands(self) -> bool:
+        """Return whether torque commands cover the recording."""
+        return bool(np.isfinite(self.command).mean() > COVERED)
+
+    def supply_at(self, time) -> np.ndarray:
+        """Return the voltage of the supply at times (T,) [V], 0 if it is not always known."""
+        known = np.isfinite(self.supply)
+        if known.mean() < COVERED:
+            return np.zeros(len(time))
+        return np.interp(time, self.time[known], self.supply[known])
 
     def by_motors(self) -> 'Recording':
         """Return the Recording with a motor in its joint's place where nobody sees the link."""

@@ -11,7 +11,6 @@ from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.result import Discrepancy
-from gms_flex_control.discrepancy.samples import supply_voltage
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.robot import RobotParams
@@ -153,7 +152,7 @@ def segment_of(recording) -> Segment:
     if np.abs(time - grid).max() > _EVEN * period:
         reference, measured = (_resampled(grid, time, values) for values in (reference, measured))
     return Segment(recording.source, float(time[0]), round(1e9 * period), reference, measured,
-                   recording.q_motor[rows.start], supply_voltage(recording, grid))
+                   recording.q_motor[rows.start], recording.supply_at(grid))
 
 
 def _resampled(grid, time, values):

@@ -25,7 +25,6 @@ from gms_flex_control.simulation import plant
 import numpy as np
 
 _ACTUATOR, _TORSION, _SPRING, _FRICTION, _LINK, _MOTOR, SENSOR = (int(stage) for stage in Stage)
-_SUBSTEPS = 4         # of a sample, where an actuator changes its command
 _CORRECTIONS = 4      # of an unseen link's angle, where a spring is not linear
 _CLEARINGS = 3        # iterations that clear a motion of the errors of its encoders
 _LEAST_SHIFT = 1e-3   # of the largest: smaller ones give no secant
@@ -34,24 +33,6 @@ _OF_BODIES = {  # by a field that the record of that kind of arm has
     'coupling': ('orientation', 'offset', 'moment', 'coupling', 'rigid_inertia', 'gravity'),
     'rotation': ('rotation', 'position', 'offset', 'mass', 'com', 'inertia', 'gravity',
                  'motor_inertia')}
-
-
-@compiled
-def mean_applied(command, supply, time, period, constants, state, work, out) -> None:
-    """Write the mean torque (T, n) of the actuators from each sample to the next."""
-    s, effects = work.signals, constants.effects
-    samples, n = command.shape
-    for k in range(samples):
-        for j in range(n):
-            out[k, j] = 0.0
-            s[j, sig.SUPPLY] = supply[k]
-        for part in range(_SUBSTEPS):
-            for j in range(n):
-                s[j, sig.TIME] = time[k] + part * period / _SUBSTEPS
-                s[j, sig.JOINT], s[j, sig.JOINTS], s[j, sig.TORQUE] = j, n, command[k, j]
-            effect_table.run_stage(_ACTUATOR, s, state.memory, period / _SUBSTEPS, effects)
-            for j in range(n):
-                out[k, j] += s[j, sig.TORQUE] / _SUBSTEPS
 
 
 @compiled
@@ -325,11 +306,9 @@ def drive_torque(motion, constants) -> np.ndarray:
 
     def made():
         samples = motion.samples
-        applied = np.empty_like(samples.command)
-        mean_applied(samples.command, samples.supply, samples.time, samples.period,
-                     constants, fresh_state(constants), plant.workspace(len(samples.joints)),
-                     applied)
-        return motion.through_filter(applied)
+        return motion.through_filter(plant.torque_applied(
+            samples.command, samples.supply, samples.time, samples.period, constants,
+            fresh_state(constants)))
     return motion.once(('drive', motion.torque, *_key(constants, (_ACTUATOR,))), made)
 
 

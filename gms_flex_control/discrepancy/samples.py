@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
 from gms_flex_control.data import signal_analysis as analysis
-from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.recording import COVERED, Recording
 from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification import sampling_checks
@@ -25,7 +25,6 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 
 _WINDOW = 0.034        # of the smoothing that velocities come from [s]
-_KNOWN = 0.98          # share of samples a torque must cover
 _FINE = 20.0           # times a count's own noise: smaller steps are not those of an encoder
 _LONGEST_HOLE = 5.5    # samples: readings farther apart are not bridged
 _SETTLED = 0.3         # after a hole, until friction is that of the motion seen [s]
@@ -89,8 +88,8 @@ def samples_of(recording, robot) -> Samples:
     load = recording.operation.load
     return replace(
         make_samples(recording.joints, time, period, readings,
-                     held_torque(recording, time, period), supply_voltage(recording, time),
-                     has_commands(recording), recording.source, unseen),
+                     held_torque(recording, time, period), recording.supply_at(time),
+                     recording.has_commands, recording.source, unseen),
         known=minimum_filter1d(known, 2 * half + 1, origin=half),
         load=load and at_last_link(load, robot.arm))
 
@@ -211,24 +210,11 @@ def _in_hole(read, time, period):
     return (np.maximum(after - before, off) > _LONGEST_HOLE * period) & (off > 0.0)
 
 
-def supply_voltage(recording, time) -> np.ndarray:
-    """Return the voltage of the supply at times (T,) [V], 0 if it was not recorded throughout."""
-    known = np.isfinite(recording.supply)
-    if known.mean() < _KNOWN:
-        return np.zeros(len(time))
-    return np.interp(time, recording.time[known], recording.supply[known])
-
-
-def has_commands(recording) -> bool:
-    """Return whether torque commands cover a recording."""
-    return bool(np.isfinite(recording.command).mean() > _KNOWN)
-
-
 def held_torque(recording, time, period) -> np.ndarray:
     """Return the torque held from even times on (T, n) [N m]: commands, or efforts reported."""
-    if has_commands(recording):
+    if recording.has_commands:
         torque = held(recording.command)
-    elif np.isfinite(recording.tau_motor).mean() > _KNOWN:
+    elif np.isfinite(recording.tau_motor).mean() > COVERED:
         torque = held(recording.tau_motor)
         torque = np.concatenate([torque[1:], torque[-1:]])
     else:
@@ -297,7 +283,7 @@ def _faults(recording, robot):
     if load is not None and not why_not_carried(load, robot.arm):
         robot = replace(robot, arm=carrying(robot.arm, load))
         recording = replace(recording, operation=recording.operation._replace(load=None))
-    if not has_commands(recording):
+    if not recording.has_commands:
         return list(check(recording, robot))
     efforts = np.isfinite(recording.tau_motor).any(axis=0)
     commanded = [joint for joint, known in zip(recording.joints, efforts, strict=True)

@@ -47,6 +47,15 @@ def is_friction(kind) -> bool:
     return kind.in_friction is not Effect.in_friction
 
 
+def changes_friction(spec, robot) -> bool:
+    """Return whether parameters of the friction model of a robot express an EffectSpec."""
+    kind = find(spec.name)
+    if not issubclass(kind, Change):
+        return is_friction(kind)
+    joint = 0 if kind.whole_arm else robot.joints.index(spec.joint)
+    return kind.change(robot, joint, spec.values).friction is not robot.friction
+
+
 def with_friction(robot) -> RobotParams:
     """Return a robot with all effects in its friction parameters that these can express."""
     friction, left = robot.friction, []

@@ -5,7 +5,7 @@ The robot as a fit assumes it: axes nobody has described, and the effects a robo
 Changes of the arm are put into the arm. What springs, links and motors do beyond it acts along the
 measured motion as in the simulated robot, and joins the torque that drives the link; errors of
 encoders are subtracted from the readings. Effects of the actuator stand between command and
-torque, and the torque is recorded.
+torque; where no commands were recorded, efforts are taken for them.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import derivatives, means_to_next, odd_window
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
-from gms_flex_control.effects.base import Change, Stage
+from gms_flex_control.effects.base import Stage
 from gms_flex_control.effects.catalogue.friction_shape import LoadFriction
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import IdentificationError
@@ -31,12 +31,13 @@ from gms_flex_control.params.robot import (
     FrictionParams,
     RobotParams,
     StribeckParams,
+    WHOLE_ARM,
 )
 from gms_flex_control.simulation import plant
 import numpy as np
 
-_LINK, _MOTOR = int(Stage.LINK), int(Stage.MOTOR)
-_ON_LINK = (Stage.TORSION, Stage.SPRING, Stage.LINK, Stage.MOTOR)
+_FRICTION, _LINK, _MOTOR = int(Stage.FRICTION), int(Stage.LINK), int(Stage.MOTOR)
+_ON_LINK = (Stage.TORSION, Stage.SPRING, Stage.FRICTION, Stage.LINK, Stage.MOTOR)
 _WINDOW = 0.05        # of the rates and accelerations that effects look at [s]
 _HELD = 1.9           # samples from one change to the next: the source is slower than the log
 _EVENLY = 0.9         # of such changes that come at even intervals, within a sample
@@ -119,14 +120,14 @@ def _reason(robot, spec, whole):
     if not kind.acts_along_motion:
         return (f'{name}: no recording identifies friction beside it; take it out of the robot '
                 'file')
-    if issubclass(kind, Change):
-        changed = kind.change(robot, 0 if kind.whole_arm else robot.joints.index(spec.joint),
-                              spec.values)
-        friction = changed.friction is not robot.friction
-    else:
-        friction = kind.stage == Stage.FRICTION
     return (f'{name} changes the friction, which is what is identified; take it out of the robot '
-            'file, what it does is then part of the result') if friction else ''
+            'file, what it does is then part of the result'
+            ) if effect_table.changes_friction(spec, robot) else ''
+
+
+def as_assumed(recording: Recording, robot: RobotParams) -> Recording:
+    """Return a recording at the rate of its source, with the torques that act on a robot."""
+    return with_torques(with_actuators(at_own_rate(recording), robot), robot)
 
 
 def with_torques(recording: Recording, robot: RobotParams) -> Recording:
@@ -147,6 +148,29 @@ def with_torques(recording: Recording, robot: RobotParams) -> Recording:
         return recording
     torque = recording.tau_motor.copy()
     torque[:, lacking] = 0.0
+    return replace(recording, tau_motor=torque)
+
+
+def with_actuators(recording: Recording, robot: RobotParams) -> Recording:
+    """
+    Return a recording, of any joints, with the torques that actuators with effects applied.
+
+    They act on commands; where none were recorded, on efforts, which then are commands.
+    """
+    robot = effect_table.with_changes(robot)
+    effects = [spec for spec in robot.effects if find(spec.name).stage == Stage.ACTUATOR]
+    if not effects or absent_joints(recording, robot):
+        return recording
+    columns = [recording.joints.index(joint) for joint in robot.joints]
+    time, torque = recording.time, recording.tau_motor.copy()
+    command = recording.command if recording.has_commands else np.roll(torque, -1, axis=0)
+    applied = plant.torque_applied(
+        np.nan_to_num(command[:, columns]), recording.supply_at(time), time - time[0],
+        recording.period, _constants(robot, effects), _state(robot))
+    of_joints = {spec.joint for spec in effects}
+    for j, column in enumerate(columns):
+        if of_joints & {robot.joints[j], WHOLE_ARM}:
+            torque[1:, column] = applied[:-1, j]
     return replace(recording, tau_motor=torque)
 
 
@@ -190,22 +214,29 @@ def cleared(recording: Recording, robot: RobotParams) -> Recording:
     return replace(recording, q_link=recording.q_link - link, q_motor=recording.q_motor - motor)
 
 
-def effect_torque(robot: RobotParams, time, q_link, q_motor, torque, period: float) -> np.ndarray:
+def effects_along(robot: RobotParams, time, q_link, q_motor, torque, period: float) -> tuple:
     """
-    Return what the effects add to the torque that drives each link (T, n) [N m].
+    Return what the effects add to the torque that drives each link, and the factor of friction.
 
-    Means from sample k to k + 1. Joints that their motor drives are rigid; ``time`` (T,) is even,
-    from the beginning of the recording; angles (T, n), of an absent motor NaN;
+    Shape (T, n) each. The torque [N m] is the mean from sample k to k + 1; friction that effects
+    add is in it, with the opposite sign. Joints that their motor drives are rigid; ``time`` (T,)
+    is even, from the beginning of the recording; angles (T, n), of an absent motor NaN;
     ``torque`` (T, n) of the drive, for effects that look at it.
     """
     acting = [spec for spec in robot.effects if find(spec.name).stage in _ON_LINK]
     if not acting:
-        return np.zeros_like(torque)
-    out = np.empty_like(torque)
-    _further_torques(_motion(time, q_link, q_motor, period), np.nan_to_num(torque), time, period,
-                     _constants(robot, acting), _state(robot), plant.workspace(robot.n_joints),
-                     out)
-    return means_to_next(out)
+        return np.zeros_like(torque), np.ones_like(torque)
+    motion, constants = _motion(time, q_link, q_motor, period), _constants(robot, acting)
+
+    def driving(friction):
+        out = np.empty_like(torque)
+        _further_torques(motion, np.nan_to_num(torque), friction, time, period, constants,
+                         _state(robot), plant.workspace(robot.n_joints), out)
+        return out
+    none = driving(0.0)
+    if not any(find(spec.name).stage == Stage.FRICTION for spec in acting):
+        return means_to_next(none), np.ones_like(torque)
+    return means_to_next(none), none - driving(1.0)  # affine in friction
 
 
 def _constants(robot, effects):
@@ -229,8 +260,12 @@ def _motion(time, q_link, q_motor, period):
 
 
 @compiled
-def _further_torques(motion, torque, time, period, constants, state, work, out):
-    """Write the torques of effects on each link at each sample into ``out`` (T, n)."""
+def _further_torques(motion, torque, friction, time, period, constants, state, work, out):
+    """
+    Write the torques of effects on each link at each sample into ``out`` (T, n).
+
+    Less what ``friction`` [N m], which the model has at any time, becomes by them.
+    """
     s, links, effects = work.signals, constants.chain, constants.effects
     for k in range(out.shape[0]):
         plant.take_place(k, motion, torque[k], time[k], state, work)
@@ -239,10 +274,12 @@ def _further_torques(motion, torque, time, period, constants, state, work, out):
                           + links.damping[j] * s[j, sig.TORSION_RATE]
                           ) if links.flexible[j] else 0.0
         plant.springs(state, period, constants, work)
-        for stage in (_LINK, _MOTOR):
+        for j in range(out.shape[1]):
+            s[j, sig.FRICTION] = friction
+        for stage in (_FRICTION, _LINK, _MOTOR):
             effect_table.run_stage(stage, s, state.memory, period, effects)
         for j in range(out.shape[1]):
-            out[k, j] += s[j, sig.LINK_TORQUE] + (
+            out[k, j] += s[j, sig.LINK_TORQUE] - s[j, sig.FRICTION] + (
                 s[j, sig.SPRING] if links.flexible[j] else s[j, sig.MOTOR_TORQUE])
 
 

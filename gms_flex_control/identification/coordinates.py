@@ -26,6 +26,8 @@ import numpy as np
 
 MOST_BLOCKS = 8   # of one joint; records of all joints have this many, so that one kernel serves
 N_STEADY = 9      # numbers of Stribeck curves and attraction
+LAG = 0.08         # of F_c over C: lag of sliding friction to begin with [s]
+_DROP = 0.1        # of F_c: F_s - F_c to begin with
 STATICS = [STATIC, PER_DIRECTION + STATIC]  # places of F_s in the parameters
 
 
@@ -118,6 +120,22 @@ def with_both_as(free: np.ndarray, way: int) -> np.ndarray:
     alike = free.copy()
     alike[of_direction(1 - way)] = alike[of_direction(way)]
     return alike
+
+
+def with_narrow_curves(free: np.ndarray, velocity: float) -> np.ndarray:
+    """
+    Return free numbers (P,) with Stribeck curves that end at ``velocity`` [rad/s].
+
+    For such as have not ended at all: what was static friction is F_c, which lags as usual.
+    """
+    narrow = free.copy()
+    for way in range(2):
+        coulomb, drop, speed, _ = range(*of_direction(way).indices(len(free)))
+        narrow[coulomb] = np.logaddexp(free[coulomb], free[drop])
+        narrow[drop] = narrow[coulomb] + np.log(_DROP)
+        narrow[speed] = np.log(velocity)
+    narrow[N_STEADY - 1] = narrow[[0, 4]].mean() - np.log(LAG)
+    return narrow
 
 
 def friction_record(thetas: Sequence[np.ndarray]) -> np.record:

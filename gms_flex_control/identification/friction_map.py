@@ -8,6 +8,7 @@ import warnings
 
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.coordinates import LAG
 from gms_flex_control.identification.outcome import FrictionMap
 from gms_flex_control.identification.segments import filled, Segment, torque_at_samples
 from gms_flex_control.params.arm import ArmParams
@@ -25,7 +26,7 @@ _FEWEST = 4         # points of a direction for a Stribeck curve; below, Coulomb
 _FEWEST_WINDOWS = 3  # of motion in a direction
 _DROP, _NARROW = 0.1, 0.02  # of F_c and of the top velocity: F_s - F_c and v_s of a straight curve
 _LEAST = 0.05       # of the largest torque: F_c of a straight curve
-_LAG = 0.08         # of F_c over C: lag of sliding friction to begin with [s]
+_FAINT = 0.1        # factor of friction that effects leave, at least: less says nothing of it
 _FINEST = 0.25      # of an encoder step: smallest yield of the spread
 _WIDEST = 0.3       # largest yield of the spread [rad], or the joint's travel
 
@@ -98,7 +99,8 @@ def _windows(segment, arm, joint, period, half, size, chosen):
     count = len(segment.rate) // size
     cut = slice(0, count * size)
     rates, torque, angle, chosen = (values[cut].reshape(count, size) for values in (
-        segment.rate[:, joint], friction_torque(segment, arm)[:, joint],
+        segment.rate[:, joint],
+        friction_torque(segment, arm)[:, joint] / np.maximum(segment.factor[:, joint], _FAINT),
         filled(segment.angle[:, joint:joint + 1])[:, 0], chosen))
     mean = rates.mean(axis=1)
     one_way = (np.abs(rates).min(axis=1) > 0.0) & (np.abs(np.sign(rates).sum(axis=1)) == size)
@@ -192,7 +194,7 @@ def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint:
     widest = max(min(_WIDEST, travel), 20.0 * finest)
     if unmoved is not None:
         directions, lines = 2 * directions, 2 * lines
-    return Start(*directions, attraction=directions[0].coulomb / _LAG,
+    return Start(*directions, attraction=directions[0].coulomb / LAG,
                  yields=np.geomspace(finest, widest, N_SPREAD), straight=tuple(lines),
                  unmoved=unmoved)
 

@@ -103,13 +103,14 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
     begin, options, say = time.monotonic(), options or Options(), say or (lambda text: None)
     recordings, holdouts = ([one if isinstance(one, tuple) else (one, ()) for one in several]
                             for several in (recordings, holdouts))
+    identities = tuple(one.identity for one, _ in recordings)
     with own_warnings() as caught, in_one_thread():  # joints have threads of their own
         say('checking the data')
         whole = options.estimate == 'all'
         model = assumed_robot.believed_model(widened(robot, options.widened), whole, options.force)
         recordings, holdouts = (
-            [(assumed_robot.with_torques(assumed_robot.at_own_rate(one), robot), phases)
-             for one, phases in several] for several in (recordings, holdouts))
+            [(assumed_robot.as_assumed(one, robot), phases) for one, phases in several]
+            for several in (recordings, holdouts))
         for recording, _ in (*recordings, *holdouts):
             for finding in require(recording, model, force=options.force, rough=whole):
                 if finding.kind != 'torque_scale' or not whole:
@@ -130,9 +131,9 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
             warnings.warn(words, stacklevel=2)
         say('intervals and errors on data held out')
         joints, arm = data.results(fits)
+    described = replace(arm, uncertainty=robot.uncertainty) if whole else robot
     return Identification(
-        robot=data.with_friction(
-            replace(arm, uncertainty=robot.uncertainty) if whole else robot, fits),
+        robot=data.with_friction(replace(described, identified_from=identities), fits),
         believed=robot,
         joints=joints, sources=tuple(one.source for one, _ in recordings),
         holdouts=tuple(one.source for one, _ in holdouts),

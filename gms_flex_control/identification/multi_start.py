@@ -26,6 +26,7 @@ from gms_flex_control.identification.coordinates import (
     N_STEADY,
     slipping,
     with_both_as,
+    with_narrow_curves,
 )
 from gms_flex_control.identification.friction_map import Start
 from gms_flex_control.identification.least_squares import (
@@ -68,6 +69,7 @@ _BLOCKS, _FINE = 0.05, 0.12  # of attraction and yields; more of those within fe
 _WIDE = 0.3           # of those together, every other time
 _FEW_COUNTS = 1.5
 _LOST = 10.0          # v_s of one direction over the other's: robots are drawn with 1.6 at most
+_NARROW = (0.002, 0.01, 0.05)  # of the top speed: v_s of curves that begin where both are lost
 _GOOD = 1.15          # times the lowest cost: as good an explanation
 
 
@@ -273,15 +275,25 @@ def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence
 
 
 def _with_both_curves(objective, coordinates, free, prior):
-    """Return the Refined from ``free``, a Stribeck curve that is lost begun as the other way's."""
+    """
+    Return the Refined from ``free``, a Stribeck curve that is lost begun anew.
+
+    As that of the other direction; where both are wider than motion is fast, as narrow ones.
+    """
     end = refine(objective, coordinates, free, prior, roughly=True)
     velocities = coordinates.parameters(end.free)[[VELOCITY, PER_DIRECTION + VELOCITY]]
-    if velocities.max() < _LOST * velocities.min():
+    if velocities.min() > objective.fastest:
+        begins = [with_narrow_curves(end.free, share * objective.fastest) for share in _NARROW]
+    elif velocities.max() > _LOST * velocities.min():
+        begins = [with_both_as(end.free, way) for way in range(2)]
+    else:
         return end
-    floor, alike = end.evaluation.floor, with_both_as(end.free, int(np.argmin(velocities)))
-    other = refine(objective, coordinates, alike, prior, roughly=True, floor=floor)
-    better = GAIN * _cost_above(other, floor, prior) < _cost_above(end, floor, prior)
-    return other if better else end
+    floor = end.evaluation.floor
+    others = [refine(objective, coordinates, begin, prior, roughly=True, floor=floor)
+              for begin in begins]
+    best = min(others, key=lambda one: _cost_above(one, floor, prior))
+    better = GAIN * _cost_above(best, floor, prior) < _cost_above(end, floor, prior)
+    return best if better else end
 
 
 def _tried(objective, coordinates, free, prior, floor, steps, limit):

@@ -118,8 +118,9 @@ def _thinned(segment, factor):
     samples = len(segment.angle) // factor * factor
     thin = {name: getattr(segment, name)[:samples:factor]
             for name in ('angle', 'rate', 'acceleration', 'tested', 'phase')}
-    mean = segment.torque[:samples].reshape(-1, factor, segment.torque.shape[1]).mean(axis=1)
-    return replace(segment, torque=mean, window=max(segment.window // factor, 1), **thin)
+    means = {name: getattr(segment, name)[:samples].reshape(
+        -1, factor, segment.torque.shape[1]).mean(axis=1) for name in ('torque', 'factor')}
+    return replace(segment, window=max(segment.window // factor, 1), **thin, **means)
 
 
 def observer_bandwidth(arm: ArmParams, coulomb, half, noise, period: float) -> np.ndarray:
@@ -138,8 +139,9 @@ def observer_bandwidth(arm: ArmParams, coulomb, half, noise, period: float) -> n
 def friction_along(segment: Segment, joint: int, theta: np.ndarray,
                    period: float) -> np.ndarray:
     """Return the friction of a joint (T,) with its parameters along the smoothed motion [N m]."""
-    return gms.replay(smooth_angle(segment, period)[:, [joint]], segment.rate[:, [joint]], period,
-                      friction_record([theta]))[:, 0]
+    return segment.factor[:, joint] * gms.replay(
+        smooth_angle(segment, period)[:, [joint]], segment.rate[:, [joint]], period,
+        friction_record([theta]))[:, 0]
 
 
 class Objective:
@@ -202,7 +204,7 @@ class Objective:
         """Return what is known of a segment and its links, as the predictor takes it."""
         extra = self.extra(segment)
         return (*(np.ascontiguousarray(part[..., self._moved]) for part in (
-            segment.angle, segment.rate[0], segment.torque)), extra,
+            segment.angle, segment.rate[0], segment.torque, segment.factor)), extra,
             theta[len(theta) - extra.shape[1]:], self.bundle.period, self._links,
             friction_record([theta if k == self.joint else self.thetas[k]
                              for k in self._moved]))
@@ -271,6 +273,11 @@ class Objective:
         correlation = total / total[0]
         end = np.argmax(correlation < 0.05) or lags
         return float(1.0 + 2.0 * correlation[1:end].sum())
+
+    @property
+    def fastest(self) -> float:
+        """Return the largest speed of the joint [rad/s]."""
+        return max(np.abs(one.rate[:, self.joint]).max() for one in self.bundle.segments)
 
     def floor_of(self, square) -> float:
         """Return the floor [rad] that mean squares of blocks (B,) call for."""

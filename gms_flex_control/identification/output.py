@@ -82,23 +82,27 @@ def friction_values(identification: outcome.Identification) -> dict:
         count = 1 + max(i for i, weight in enumerate(values[f'{prefix}weight']) if weight > 0.0)
         for name in ('stiffness', 'weight'):
             values[prefix + name] = values[prefix + name][:count]
-    return values | uncertainty_values(identification)
+    values |= {f'uncertainty.{joint}.{kind}': sd
+               for (kind, joint), sd in uncertainty_of(identification).items()}
+    if identification.robot.identified_from:
+        values['identified_from'] = list(identification.robot.identified_from)
+    return values
 
 
 # kinds of known parameters by the parameters of friction that determine them
-_KNOWN_BY = {'level': 'coulomb', 'viscous': 'viscous', 'static': 'static',
+KNOWN_BY = {'level': 'coulomb', 'viscous': 'viscous', 'static': 'static',
              'velocity': 'velocity', 'attraction': 'attraction', 'blocks': 'stiffness['}
 
 
-def uncertainty_values(identification: outcome.Identification) -> dict:
+def uncertainty_of(identification: outcome.Identification) -> dict[tuple[str, str], float]:
     """
-    Return how well friction and arm are known: flat ``uncertainty`` parameters, from intervals.
+    Return how well friction and arm are known, by (kind, joint) as a robot has it, from intervals.
 
     Relative standard deviations, the largest where the data leave all estimates of a kind open.
     """
     values = _uncertainty_of_arm(identification)
     for result in identification.joints:
-        for kind, name in _KNOWN_BY.items():
+        for kind, name in KNOWN_BY.items():
             own = [one for one in result.estimates if one.name.startswith('friction.')
                    and one.name.split('.')[-1].startswith(name)]
             sizes = [outcome.spread(one) / outcome.CONFIDENT for one in own
@@ -109,7 +113,7 @@ def uncertainty_values(identification: outcome.Identification) -> dict:
                 sizes = [np.inf]
             if sizes:
                 usual = UNCERTAIN[kind].sd
-                values[f'uncertainty.{result.joint}.{kind}'] = float(np.clip(
+                values[kind, result.joint] = float(np.clip(
                     np.median(sizes), _LEAST_SD * usual, _MOST_SD * usual))
     return values
 
@@ -144,7 +148,7 @@ def _uncertainty_of_arm(identification):
                 UNCERTAIN['motor_inertia'].sd * motor) / of_link
         for kind, size in sizes.items():
             usual = UNCERTAIN[kind].sd
-            values[f'uncertainty.{result.joint}.{kind}'] = float(max(
+            values[kind, result.joint] = float(max(
                 size if np.isfinite(size) else _MOST_SD * usual, _LEAST_SD * usual))
     return values
 

@@ -54,6 +54,7 @@ def coulomb_viscous(objective: Objective, step: float, chosen: Callable) -> np.n
         keep = chosen(segment) & (np.abs(rate) > standing(step)) & segment.tested[:, joint]
         forward, backward = rate > 0.0, rate < 0.0
         simple = np.stack([forward, -1.0 * backward, forward * rate, backward * rate], axis=1)
+        simple *= segment.factor[:, [joint]]
         columns = np.concatenate([simple, -objective.extra(segment)], axis=1)
         rows.append(low_pass(columns, segment.window)[keep])
         targets.append(low_pass(objective.measured(segment), segment.window)[keep])

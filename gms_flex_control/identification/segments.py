@@ -9,8 +9,10 @@ import warnings
 from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices
+from gms_flex_control.effects.base import Stage
+from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.assumed_robot import effect_torque
+from gms_flex_control.identification.assumed_robot import effects_along
 from gms_flex_control.params.arm import ArmParams, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -21,6 +23,7 @@ _SPRING_OFF = 0.5    # of the torque's rms: a spring torque further off is not b
 _AGREE_WINDOW = 0.2    # at least, where spring and motor torque are compared: a controller answers
 #                        the steps of encoders with torque that is over before one sees it move [s]
 _DAMPING_WINDOW = 0.05  # for the rate of the spring deflection [s]
+_OF_SPRING = (Stage.TORSION, Stage.SPRING, Stage.MOTOR)  # effects in the motor equation
 _THIN = 20             # samples from one pose to the next whose inertia is looked at
 _EVEN = 0.02           # stamps within this part of a period of an even grid count as even
 _TURNING = 0.02        # of the usual rate: so slow is a reversal
@@ -44,6 +47,7 @@ class Segment:
     tested: np.ndarray        # (T, n) bool, the experiment is on that joint; all true if unknown
     phase: np.ndarray         # (T,) str, name of the phase; '' if not known
     source: str               # recording it comes from
+    factor: np.ndarray        # (T, n), by which effects multiply the friction
     window: int = 5           # samples of the longest smoothing window
     taken: np.ndarray | float = 0.0  # (T, n), what was subtracted from the drive's torque [N m]
     first_block: int = 0      # number of its first block of time among those of all segments
@@ -52,7 +56,7 @@ class Segment:
         """Return the Segment of some joints (list of int), which do not act on each other."""
         taken = np.broadcast_to(self.taken, self.torque.shape)[:, columns]
         return replace(self, taken=taken, **{name: getattr(self, name)[:, columns] for name in (
-            'angle', 'rate', 'acceleration', 'torque', 'tested')})
+            'angle', 'rate', 'acceleration', 'torque', 'tested', 'factor')})
 
 
 def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
@@ -60,7 +64,8 @@ def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
     Return for each joint what moves its link: 'spring', or the torque of the 'motor' directly.
 
     'spring' where the joint is flexible, both sides were measured, and the spring's torque agrees
-    with the motor equation as far as a torque was recorded; else a TorqueWarning says so. Raises
+    with the motor equation as far as a torque was recorded, of a plain spring and motor; else a
+    TorqueWarning says so. Raises
     IdentificationError if a joint has neither. Joints of the recording in the robot's order.
     """
     sides = []
@@ -71,7 +76,9 @@ def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
             raise IdentificationError(
                 f'{recording.source}: {joint} has neither a motor torque (effort) nor angles of '
                 'both sides of a spring; record the effort, or the motor side as well')
-        if two_sided and has_torque:
+        if two_sided and has_torque and not any(
+                spec.joint == joint and find(spec.name).stage in _OF_SPRING
+                for spec in robot.effects):
             off = _spring_mismatch(recording, robot, j)
             if off > _SPRING_OFF:
                 warnings.warn(
@@ -174,8 +181,9 @@ def _segment(recording, robot, sides, phases, rows, period, even):
         _spring(recording, robot, j, grid, time, rows, whole[:, j]) if side == 'spring'
         else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
     robot = rigid_where(robot, sides)
-    torque += effect_torque(robot, grid - recording.time[0], whole,
-                            _motors(recording, grid, time, rows), torque, period)
+    further, factor = effects_along(robot, grid - recording.time[0], whole,
+                                    _motors(recording, grid, time, rows), torque, period)
+    torque += further
     known = driven(recording, sides)
     windows = [analysis.smoothing_window(
         period, analysis.noise_of(recording.q_link[:, j]), inertia,
@@ -186,6 +194,7 @@ def _segment(recording, robot, sides, phases, rows, period, even):
     tested, phase = _tested(phases, recording, grid, robot.joints)
     return Segment(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
+                   factor=factor,
                    tested=tested & known, phase=phase, source=recording.source,
                    window=max(windows))
 

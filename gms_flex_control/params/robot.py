@@ -184,6 +184,7 @@ class RobotParams:
     effects: tuple = ()      # of EffectSpec
     # relative standard deviation of (of UNCERTAIN, joint or 'arm') where it is not the usual one
     uncertainty: Mapping = field(default_factory=dict)
+    identified_from: tuple = ()  # `Recording.identity` of those by which friction was identified
 
     def __post_init__(self):
         n = len(self.joints)

@@ -80,7 +80,8 @@ def robot_from_values(values: dict) -> RobotParams:
                    for name, value in values.items() if name.startswith('uncertainty.')}
     return RobotParams(joints=joints, motors=tuple(motors), arm=arm, encoder=encoder,
                        friction=_friction(flat, joints), effects=effects,
-                       uncertainty=uncertainty)
+                       uncertainty=uncertainty,
+                       identified_from=tuple(flat['identified_from']))
 
 
 def robot_to_identify(values: dict) -> RobotParams:
@@ -254,6 +255,8 @@ def robot_values(robot: RobotParams) -> dict:
                    for parameter, value in zip(parameters, spec.values, strict=True)}
     values |= {f'uncertainty.{joint}.{kind}': float(sd)
                for (kind, joint), sd in robot.uncertainty.items()}
+    if robot.identified_from:
+        values['identified_from'] = list(robot.identified_from)
     return values
 
 

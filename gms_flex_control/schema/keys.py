@@ -233,6 +233,8 @@ _OF_URDF = (
 _ROBOT = (
     Key('joints', 'names of the link sides, from the base outwards', kind='string_array'),
     Key('motors', "names of the motor sides; '' for a rigid joint", default=()),
+    Key('identified_from', 'recordings by which `gms_flex identify` found the friction: name, '
+        'duration; along these `gms_flex discrepancy` may identify it anew', default=()),
     Key('arm.kind', 'chain in a plane, axes without effect on each other, or the chain of a URDF',
         default='planar', choices=ARM_KINDS),
     Key('arm.axes', 'whether decoupled axes turn or slide', default='rotary', choices=AXES),

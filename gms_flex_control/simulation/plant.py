@@ -20,6 +20,7 @@ from gms_flex_control.records import FLOAT
 import numpy as np
 
 _ACTUATOR, _TORSION, _SPRING, _FRICTION, _LINK, _MOTOR, _SENSOR = (int(stage) for stage in Stage)
+_SUBSTEPS = 4         # of a sample, where an actuator changes its command
 
 
 @cache
@@ -210,3 +211,33 @@ def advance(state, command, time, period, substeps, constants, work) -> None:
         substep(state, command, time + k * dt, dt, constants, work)
         for j in range(command.shape[0]):
             state.applied[j] += work.signals[j, sig.TORQUE] / substeps
+
+
+@compiled
+def _mean_applied(command, supply, time, period, constants, state, work, out) -> None:
+    """Write the mean torque (T, n) of the actuators from each sample to the next."""
+    s, effects = work.signals, constants.effects
+    samples, n = command.shape
+    for k in range(samples):
+        for j in range(n):
+            out[k, j] = 0.0
+            s[j, sig.SUPPLY] = supply[k]
+        for part in range(_SUBSTEPS):
+            for j in range(n):
+                s[j, sig.TIME] = time[k] + part * period / _SUBSTEPS
+                s[j, sig.JOINT], s[j, sig.JOINTS], s[j, sig.TORQUE] = j, n, command[k, j]
+            effect_table.run_stage(_ACTUATOR, s, state.memory, period / _SUBSTEPS, effects)
+            for j in range(n):
+                out[k, j] += s[j, sig.TORQUE] / _SUBSTEPS
+
+
+def torque_applied(command, supply, time, period, constants, state) -> np.ndarray:
+    """
+    Return the mean torque (T, n) that actuators make of commands from each sample to the next.
+
+    ``command`` (T, n) [N m] is held over ``period``, ``supply`` (T,) [V], ``time`` (T,) [s].
+    """
+    out = np.empty_like(command)
+    _mean_applied(command, supply, time, period, constants, state,
+                  workspace(command.shape[1]), out)
+    return out

@@ -150,11 +150,11 @@ def mobility(carried, links, work, out) -> None:
 
 
 @compiled_part
-def accelerate(torque, further, joint, q, dq, state, links, friction, work) -> None:
-    """Write the accelerations under ``torque`` (n,), ``further`` on ``joint`` and friction."""
+def accelerate(torque, factor, further, joint, q, dq, state, links, friction, work) -> None:
+    """Write accelerations under ``torque``, friction times ``factor`` (n,), and ``further``."""
     gms.total(state, dq, friction, work.friction)
     for j in range(q.shape[0]):
-        work.chain.tau[j] = torque[j] - work.friction[j]  # Eq. (1), link
+        work.chain.tau[j] = torque[j] - factor[j] * work.friction[j]  # Eq. (1), link
     work.chain.tau[joint] += further
     chain.accelerations(q, dq, links, work.chain)
 
@@ -170,7 +170,8 @@ def advance_links(error, gains, period, q, dq, work) -> None:
 
 
 @compiled_part
-def torque_tangents(j, a, k, dq, extra, state, directions, friction, d_torque, d_dq, out) -> None:
+def torque_tangents(j, a, k, dq, factor, extra, state, directions, friction, d_torque, d_dq,
+                    out) -> None:
     """Write the derivative of the torque on joint ``j`` at sample ``k`` into row a of ``out``."""
     blocks, width = d_torque.shape[1:]
     row = gms.FORWARD if state.direction[j] > 0.0 else gms.BACKWARD
@@ -184,13 +185,16 @@ def torque_tangents(j, a, k, dq, extra, state, directions, friction, d_torque, d
     if a == 0:
         for p in range(width):
             out[a, p] -= directions[rows, p] * dq[j]
+    for p in range(width):
+        out[a, p] *= factor[k, j]
+    if a == 0:
         for r in range(extra.shape[1]):
             for p in range(width):
                 out[a, p] += extra[k, r] * directions[BLOCKS + 2 * blocks + r, p]
 
 
 @compiled
-def predict(angle, rate, torque, extra, coefficients, period, links, friction, carried,
+def predict(angle, rate, torque, factor, extra, coefficients, period, links, friction, carried,
             directions, gains, half, state, work, predicted, innovation, jacobian) -> None:
     """
     Predict one segment of a recording, with the derivatives of one joint's prediction.
@@ -204,6 +208,8 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
         torque on each link from sample k to k + 1 [N m].
     rate : ndarray, shape (n,)
         Link velocities at the beginning [rad/s].
+    factor : ndarray, shape (T, n)
+        Of the friction that the parameters describe.
     extra, coefficients : ndarray, shape (T, R) and (R,)
         Further torques on ``joint`` per unit of their coefficient, and the coefficients.
     period : float
@@ -248,13 +254,13 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
             jacobian[k, p] = d_seen[0, p]
         if k == samples - 1:
             break
-        accelerate(torque[k], further_torque(coefficients, extra[k]), joint, q, dq, state, links,
-                   friction, work)
+        accelerate(torque[k], factor[k], further_torque(coefficients, extra[k]), joint, q, dq,
+                   state, links, friction, work)
         if k % _SAME_POSE == 0:
             mobility(carried, links, work.chain, yielding)
         for a in range(m):
-            torque_tangents(carried[a], a, k, dq, extra, state, directions, friction, d_torque,
-                            d_dq, d_push)
+            torque_tangents(carried[a], a, k, dq, factor, extra, state, directions, friction,
+                            d_torque, d_dq, d_push)
         advance_links(innovation[k], gains, period, q, dq, work)
         for a in range(m):
             j = carried[a]
@@ -292,8 +298,9 @@ def further_torque(coefficients, extra) -> float:
 
 
 @compiled
-def simulate_freely(angle, rate, torque, extra, coefficients, period, links, friction, joint,
-                    gains, half, first, stride, horizon, state, freed, work, predicted) -> None:
+def simulate_freely(angle, rate, torque, factor, extra, coefficients, period, links, friction,
+                    joint, gains, half, first, stride, horizon, state, freed, work,
+                    predicted) -> None:
     """
     Simulate ``horizon`` samples without correction from corrected states, see `predict`.
 
@@ -312,13 +319,13 @@ def simulate_freely(angle, rate, torque, extra, coefficients, period, links, fri
             for step in range(horizon):
                 for j in range(n):
                     predicted[start, step, j] = at_sample(free_q[j], free_dq[j], period)
-                one_step(torque[k + step], extra[k + step], coefficients, joint, none, gains,
-                         period, free_q, free_dq, freed, links, friction, work)
+                one_step(torque[k + step], factor[k + step], extra[k + step], coefficients, joint,
+                         none, gains, period, free_q, free_dq, freed, links, friction, work)
             start += 1
         for j in range(n):
             error[j] = outside(angle[k, j] - at_sample(q[j], dq[j], period), half[j])
-        one_step(torque[k], extra[k], coefficients, joint, error, gains, period, q, dq, state,
-                 links, friction, work)
+        one_step(torque[k], factor[k], extra[k], coefficients, joint, error, gains, period, q, dq,
+                 state, links, friction, work)
 
 
 @compiled_part
@@ -332,11 +339,11 @@ def copy_state(state, q, dq, freed, free_q, free_dq) -> None:
 
 
 @compiled_part
-def one_step(torque, extra, coefficients, joint, error, gains, period, q, dq, state, links,
-             friction, work) -> None:
+def one_step(torque, factor, extra, coefficients, joint, error, gains, period, q, dq, state,
+             links, friction, work) -> None:
     """Advance links and blocks by one sample, in place."""
-    accelerate(torque, further_torque(coefficients, extra), joint, q, dq, state, links, friction,
-               work)
+    accelerate(torque, factor, further_torque(coefficients, extra), joint, q, dq, state, links,
+               friction, work)
     advance_links(error, gains, period, q, dq, work)
     for j in range(q.shape[0]):
         gms.advance_joint(j, state, work.displacement[j], dq[j], period, friction)
