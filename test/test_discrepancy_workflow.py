@@ -16,6 +16,7 @@ from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, IdentificationError, SimulationError
 from gms_flex_control.identification.assumed_robot import believed_model
+from gms_flex_control.identification.identify import identify
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.reports.answers import discrepancy_answer
 from gms_flex_control.reports.discrepancy_values import report_values
@@ -44,6 +45,23 @@ def named():
     """Return a case with a quarter of a stiffness missing, and what is said of it."""
     case = make_case('single', 4, effect='stiffness_error', duration=SHORT)
     return case, find_discrepancy([case.recording], case.nominal)
+
+
+def test_friction_of_the_same_recording_is_identified_anew_beside_what_is_missing():
+    """It had taken up some of a spring's cubic part; of another recording it is left as it is."""
+    case = make_case('single', 1, effect='spring_cubic', duration=16.0)
+    key, truth = case.truth.effects[0].key, case.truth.robot.friction.forward.coulomb[0]
+    found = identify([case.recording], case.nominal).robot
+    elsewhere = find_discrepancy([case.recording], replace(
+        found, identified_from=('another, 16.000 s',)))
+    assert len(elsewhere.named) > 1 and 'anew' not in elsewhere.words
+    result = find_discrepancy([case.recording], found)
+    assert [one.key for one in result.findings] == [key] and result.gap.before == pytest.approx(
+        elsewhere.gap.before)
+    assert 'anew beside spring_cubic of joint1' in result.words
+    errors = [abs(robot.friction.forward.coulomb[0] / truth - 1.0)
+              for robot in (found, result.robot)]
+    assert errors[1] < min(0.05, 0.5 * errors[0])
 
 
 @pytest.mark.parametrize('name', CASES)

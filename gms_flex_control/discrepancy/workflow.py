@@ -23,6 +23,7 @@ from gms_flex_control.discrepancy.findings import (
     subsets,
 )
 from gms_flex_control.discrepancy.fitting import is_within, with_white_noise
+from gms_flex_control.discrepancy.friction_anew import with_friction_anew
 from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
@@ -84,11 +85,14 @@ def find_discrepancy(
     if fatal and not options.force:
         result = Discrepancy(verdict=BAD_DATA, words=describe.of_faults(fatal))
     else:
-        with in_one_thread(), np.errstate(all='ignore'):
-            result = _compared([motion_of(recording, robot) for recording in recordings],
-                               [motion_of(recording, robot) for recording in holdout],
-                               widened(robot, options.widened), options, say)
-            result = replace(result, robot=replace(result.robot, uncertainty=robot.uncertainty))
+        def searched(robot):
+            with in_one_thread(), np.errstate(all='ignore'):
+                found = _compared([motion_of(recording, robot) for recording in recordings],
+                                  [motion_of(recording, robot) for recording in holdout],
+                                  widened(robot, options.widened), options, say)
+            return replace(found, robot=replace(found.robot, uncertainty=robot.uncertainty))
+        result = with_friction_anew(searched(robot), recordings, robot, options.widened, searched,
+                                    say)
         if faults:
             result = result.saying(f'About the data: {describe.first_of(faults, 2)}')
     return replace(

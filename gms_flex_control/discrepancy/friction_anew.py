@@ -1,0 +1,140 @@
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
+"""
+Friction identified anew beside what was found to be missing.
+
+Friction that was identified along the same recordings has taken up part of what the model lacks: a
+Stribeck curve as wide as motion is fast, blocks too soft, Coulomb friction of another level. What
+that spoils has names of its own. Beside effects, friction is identified as it is, and the search
+that begins from there needs fewer of them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from gms_flex_control.discrepancy.result import Discrepancy
+from gms_flex_control.discrepancy.thresholds import BETTER, NOT_CLEARLY
+from gms_flex_control.effects import table as effect_table
+from gms_flex_control.effects.base import Stage, Term
+from gms_flex_control.effects.catalogue.friction_shape import LoadFriction
+from gms_flex_control.effects.registry import find
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.output import KNOWN_BY, uncertainty_of
+from gms_flex_control.params.key import SMALLEST
+from gms_flex_control.params.robot import RobotParams
+import numpy as np
+
+_ROUNDS = 3  # of identification at most: joints that act on each other need more than one
+
+
+def with_friction_anew(found: Discrepancy, recordings: Sequence, robot: RobotParams,
+                       widened: float, search: Callable, say: Callable) -> Discrepancy:
+    """
+    Return the Discrepancy with the friction that predicts best beside what it names.
+
+    ``found`` is that of ``robot``, whose friction was identified along the ``recordings``; else
+    it is returned. ``search`` RobotParams -> Discrepancy; ``widened`` as for `identify`.
+    """
+    if not {one.identity for one in recordings} <= set(robot.identified_from):
+        return found
+    before, beside, failed = found.gap.before, (), set()
+    for _ in range(_ROUNDS):
+        kept, others = _beside(found, robot, beside)
+        others = [spec for spec in others if spec.key not in failed]
+        if not others or not _leaves_something(found):
+            break
+        tried = (*kept, others[0])
+        say(f'friction anew, beside {_words(tried)}')
+        try:
+            other = search(_identified(recordings, robot, tried, widened))
+        except IdentificationError:
+            break
+        if _is_better(other, found):
+            found, beside = other, tried
+        else:
+            failed.add(others[0].key)
+        del other  # two searches fill the memory
+    if not beside:
+        return found
+    return replace(found, gap=replace(found.gap, before=before)).saying(
+        f'Friction was identified anew beside {_words(beside)}: the values given had taken up '
+        'some of it.')
+
+
+def _beside(found, robot, before):
+    """
+    Return the EffectSpecs of ``before`` that are still found, and others to go beside them.
+
+    What friction takes up by itself is not among these. Most of what acts on friction only mends
+    what another effect has spoilt, so it comes after others. Those come first that are of joints
+    which nothing explains: there what only resembles the cause may be it.
+    """
+    given = {spec.key for spec in robot.effects}
+    specs = {spec.key: spec for spec in found.robot.effects if spec.key not in given}
+    kept = [specs.pop(spec.key) for spec in before if spec.key in specs]
+    named = [specs[one.key] for one in found.added if one.key in specs]
+    open_joints = found.unexplained.joints if found.unexplained else ()
+
+    def rank(spec):
+        kind = find(spec.name)
+        acts_on_friction = issubclass(kind, Term) and kind.stage == Stage.FRICTION
+        if spec.joint in open_joints:
+            return 0, acts_on_friction, spec not in named
+        return 1, spec not in named, acts_on_friction
+    return kept, sorted((spec for spec in (*named, *found.stand_ins)
+                         if spec.key in specs and find(spec.name).acts_along_motion
+                         and not effect_table.changes_friction(spec, robot)), key=rank)
+
+
+def _leaves_something(found):
+    """Return whether more than one effect is there, or clearly more than noise is left."""
+    gap = found.gap
+    return (found.is_open or len(found.named) + len(found.stand_ins) > 1
+            or bool(np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)))
+
+
+def _is_better(other, found):
+    """
+    Return whether a Discrepancy has fewer effects than another, or predicts clearly better.
+
+    It has no more of them, and neither torque nor free runs are clearly worse. Friction was fitted
+    to what the gap is measured on, unless that is another recording: more effects fit that alone.
+    Where something is left, it names something if the other does.
+    """
+    if other.is_open and found.added and not other.added:
+        return False
+    fewer = len(found.robot.effects) - len(other.robot.effects)
+    gains = np.nan_to_num([_gain(name, floor, other.gap, found.gap) for name, floor in (
+        ('after', 'floor'), ('free_after', 'free_floor'))])
+    clearly = np.log1p(NOT_CLEARLY)
+    return fewer >= 0 and gains.min() > -clearly and (fewer > 0 or gains.sum() > clearly)
+
+
+def _gain(name, floor, *gaps):
+    """
+    Return the mean logarithm of what a second Gap leaves over what the first does.
+
+    Down to the noise floor, of which a null simulation of a wrong model says too much: what is
+    left is hardly less.
+    """
+    left, noise = (np.array([getattr(gap, which) for gap in gaps]) for which in (name, floor))
+    noise = np.nan_to_num(noise.min(axis=0), nan=SMALLEST)
+    left = np.maximum(left, np.minimum(noise, np.sqrt(BETTER) * left.min(axis=0)))
+    return float(np.mean(np.log(left[1] / left[0])))
+
+
+def _identified(recordings, robot, beside, widened):
+    """Return a robot with friction as identified beside effects, and how well that is known."""
+    plain = tuple(spec for spec in robot.effects if robot.arm.frames is None
+                  or spec.name != LoadFriction.name)
+    found = identify(recordings, replace(robot, effects=(*plain, *beside)),
+                     options=Options(widened=widened))
+    known = {key: sd for key, sd in robot.uncertainty.items() if key[0] not in KNOWN_BY}
+    known |= {key: sd for key, sd in uncertainty_of(found).items() if key[0] in KNOWN_BY}
+    keys = {spec.key for spec in beside}
+    return replace(robot, friction=found.robot.friction, uncertainty=known, effects=tuple(
+        spec for spec in found.robot.effects if spec.key not in keys))
+
+
+def _words(beside):
+    return ' and '.join(f'{spec.name} of {spec.joint}' for spec in beside)
