@@ -91,7 +91,7 @@ def friction_values(identification: outcome.Identification) -> dict:
 
 # kinds of known parameters by the parameters of friction that determine them
 KNOWN_BY = {'level': 'coulomb', 'viscous': 'viscous', 'static': 'static',
-             'velocity': 'velocity', 'attraction': 'attraction', 'blocks': 'stiffness['}
+            'velocity': 'velocity', 'attraction': 'attraction', 'blocks': 'stiffness['}
 
 
 def uncertainty_of(identification: outcome.Identification) -> dict[tuple[str, str], float]:
