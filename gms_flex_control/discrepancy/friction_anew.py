@@ -17,7 +17,7 @@ from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage, Term
 from gms_flex_control.effects.catalogue.friction_shape import LoadFriction
 from gms_flex_control.effects.registry import find
-from gms_flex_control.errors import IdentificationError
+from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.output import KNOWN_BY, uncertainty_of
 from gms_flex_control.params.key import SMALLEST
@@ -47,7 +47,7 @@ def with_friction_anew(found: Discrepancy, recordings: Sequence, robot: RobotPar
         say(f'friction anew, beside {_words(tried)}')
         try:
             other = search(_identified(recordings, robot, tried, widened))
-        except IdentificationError:
+        except GmsFlexError:  # what was found is an answer as well
             break
         if _is_better(other, found):
             found, beside = other, tried
