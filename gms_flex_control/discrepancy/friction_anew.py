@@ -15,7 +15,6 @@ from gms_flex_control.discrepancy.result import Discrepancy
 from gms_flex_control.discrepancy.thresholds import BETTER, NOT_CLEARLY
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage, Term
-from gms_flex_control.effects.catalogue.friction_shape import LoadFriction
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.identification.identify import identify, Options
@@ -33,9 +32,11 @@ def with_friction_anew(found: Discrepancy, recordings: Sequence, robot: RobotPar
     Return the Discrepancy with the friction that predicts best beside what it names.
 
     ``found`` is that of ``robot``, whose friction was identified along the ``recordings``; else
-    it is returned. ``search`` RobotParams -> Discrepancy; ``widened`` as for `identify`.
+    it is returned, and of an arm in space, which would take minutes. ``search`` RobotParams ->
+    Discrepancy; ``widened`` as for `identify`.
     """
-    if not {one.identity for one in recordings} <= set(robot.identified_from):
+    along = {one.identity for one in recordings} <= set(robot.identified_from)
+    if not along or robot.arm.frames is not None:
         return found
     before, beside, failed = found.gap.before, (), set()
     for _ in range(_ROUNDS):
@@ -125,15 +126,11 @@ def _gain(name, floor, *gaps):
 
 def _identified(recordings, robot, beside, widened):
     """Return a robot with friction as identified beside effects, and how well that is known."""
-    plain = tuple(spec for spec in robot.effects if robot.arm.frames is None
-                  or spec.name != LoadFriction.name)
-    found = identify(recordings, replace(robot, effects=(*plain, *beside)),
+    found = identify(recordings, replace(robot, effects=(*robot.effects, *beside)),
                      options=Options(widened=widened))
     known = {key: sd for key, sd in robot.uncertainty.items() if key[0] not in KNOWN_BY}
     known |= {key: sd for key, sd in uncertainty_of(found).items() if key[0] in KNOWN_BY}
-    keys = {spec.key for spec in beside}
-    return replace(robot, friction=found.robot.friction, uncertainty=known, effects=tuple(
-        spec for spec in found.robot.effects if spec.key not in keys))
+    return replace(robot, friction=found.robot.friction, uncertainty=known)
 
 
 def _words(beside):
