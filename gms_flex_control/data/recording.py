@@ -120,6 +120,11 @@ class Recording:
         return np.isfinite(self.q_link).any(axis=0)
 
     @property
+    def motors_alone(self) -> np.ndarray:
+        """Return of which joints the motor angle was read, and the link never, bool (n,)."""
+        return np.isfinite(self.q_motor).any(axis=0) & ~self.links_seen
+
+    @property
     def has_commands(self) -> bool:
         """Return whether torque commands cover the recording."""
         return bool(np.isfinite(self.command).mean() > COVERED)

@@ -49,6 +49,11 @@ def first_of(texts, count) -> str:
     return ' '.join([f'{text.rstrip(".")}.' for text in texts[:count]] + more)
 
 
+def listed(specs) -> str:
+    """Return EffectSpecs as names of joints."""
+    return ' and '.join(f'{spec.name} of {spec.joint}' for spec in specs)
+
+
 def capitalised(text) -> str:
     """Return a text (not empty) with a capital at its beginning, the rest as it is."""
     return text[0].upper() + text[1:]
@@ -127,7 +132,7 @@ def paragraph(result, unseen, known_off) -> tuple:
         return result.words, ''
     parts = [*_verdict(result), *_remainder(result)]
     if result.stand_ins:
-        names_of = ' and '.join(f'{one.name} of {one.joint}' for one in result.stand_ins)
+        names_of = listed(result.stand_ins)
         left = min(result.gap.energy_ratio, 1.0)
         parts.append((f'The written model has {names_of} ' + {
             COMPLETE: 'as well: it predicts better so, though by less than what matters in '

@@ -11,6 +11,7 @@ that begins from there needs fewer of them.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from gms_flex_control.discrepancy.describe import listed
 from gms_flex_control.discrepancy.result import Discrepancy
 from gms_flex_control.discrepancy.thresholds import BETTER, NOT_CLEARLY
 from gms_flex_control.effects import table as effect_table
@@ -26,15 +27,16 @@ import numpy as np
 _ROUNDS = 3  # of identification at most: joints that act on each other need more than one
 
 
-def with_friction_anew(found: Discrepancy, recordings: Sequence, robot: RobotParams,
-                       widened: float, search: Callable, say: Callable) -> Discrepancy:
+def with_friction_anew(search: Callable, recordings: Sequence, robot: RobotParams,
+                       widened: float, say: Callable) -> Discrepancy:
     """
     Return the Discrepancy with the friction that predicts best beside what it names.
 
-    ``found`` is that of ``robot``, whose friction was identified along the ``recordings``; else
-    it is returned, and of an arm in space, which would take minutes. ``search`` RobotParams ->
-    Discrepancy; ``widened`` as for `identify`.
+    ``search`` RobotParams -> Discrepancy. That of ``robot`` is returned unless its friction was
+    identified along the ``recordings``, and of an arm in space, which would take minutes;
+    ``widened`` as for `identify`.
     """
+    found = search(robot)
     along = {one.identity for one in recordings} <= set(robot.identified_from)
     if not along or robot.arm.frames is not None:
         return found
@@ -45,7 +47,7 @@ def with_friction_anew(found: Discrepancy, recordings: Sequence, robot: RobotPar
         if not others or not _leaves_something(found):
             break
         tried = (*kept, others[0])
-        say(f'friction anew, beside {_words(tried)}')
+        say(f'friction anew, beside {listed(tried)}')
         try:
             other = search(_identified(recordings, robot, tried, widened))
         except GmsFlexError:  # what was found is an answer as well
@@ -58,7 +60,7 @@ def with_friction_anew(found: Discrepancy, recordings: Sequence, robot: RobotPar
     if not beside:
         return found
     return replace(found, gap=replace(found.gap, before=before)).saying(
-        f'Friction was identified anew beside {_words(beside)}: the values given had taken up '
+        f'Friction was identified anew beside {listed(beside)}: the values given had taken up '
         'some of it.')
 
 
@@ -89,9 +91,8 @@ def _beside(found, robot, before):
 
 def _leaves_something(found):
     """Return whether more than one effect is there, or clearly more than noise is left."""
-    gap = found.gap
     return (found.is_open or len(found.named) + len(found.stand_ins) > 1
-            or bool(np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)))
+            or found.gap.is_above_floor(BETTER))
 
 
 def _is_better(other, found):
@@ -131,7 +132,3 @@ def _identified(recordings, robot, beside, widened):
     known = {key: sd for key, sd in robot.uncertainty.items() if key[0] not in KNOWN_BY}
     known |= {key: sd for key, sd in uncertainty_of(found).items() if key[0] in KNOWN_BY}
     return replace(robot, friction=found.robot.friction, uncertainty=known)
-
-
-def _words(beside):
-    return ' and '.join(f'{spec.name} of {spec.joint}' for spec in beside)

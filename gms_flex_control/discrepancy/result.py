@@ -101,6 +101,10 @@ class Gap:
         ratio = after / before if before > 0.0 else 1.0
         return ratio if np.isfinite(ratio) else 1.0
 
+    def is_above_floor(self, times) -> bool:
+        """Return whether the square of what is left of a joint is ``times`` that of its floor."""
+        return bool(np.any(self.after ** 2 > times * np.nan_to_num(self.floor) ** 2))
+
     def of_joints(self, names) -> 'Gap':
         """Return the Gap of some joints, of all where others are named, as the arm is."""
         at = np.isin(self.joints, list(names))

@@ -163,9 +163,9 @@ def encoder_step(angle, noise) -> float:
 def unseen_links(recording, robot) -> tuple:
     """Return the flexible joints of which only the motor was recorded, tuple of UnseenLink."""
     arm, found, inertias = robot.arm, [], own_inertia(plant.constants_of(robot).chain)[0]
+    alone = recording.motors_alone
     for j in range(robot.n_joints):
-        if (arm.rigid[j] or recording.links_seen[j]
-                or not np.isfinite(recording.q_motor[:, j]).any()):
+        if arm.rigid[j] or not alone[j]:
             continue
         stiffness, inertia = float(arm.stiffness[j]), float(arm.motor_inertia[j])
         # the fourth derivative of white noise of density 2 noise^2 period reaches the equation

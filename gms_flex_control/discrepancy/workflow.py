@@ -91,8 +91,7 @@ def find_discrepancy(
                                   [motion_of(recording, robot) for recording in holdout],
                                   widened(robot, options.widened), options, say)
             return replace(found, robot=replace(found.robot, uncertainty=robot.uncertainty))
-        result = with_friction_anew(searched(robot), recordings, robot, options.widened, searched,
-                                    say)
+        result = with_friction_anew(searched, recordings, robot, options.widened, say)
         if faults:
             result = result.saying(f'About the data: {describe.first_of(faults, 2)}')
     return replace(
@@ -124,8 +123,7 @@ def _compared(motions, holdout, robot, options, say):
         findings, left = _named(likelihood, findings, gap, free, left)
         left = _of_open_joints(left, all_found.model, held_out.other or likelihood)
         found = _named_alone(likelihood, found, {one.key for one in findings})
-    more = left is not None or np.any(
-        gap.after ** 2 > thresholds.BETTER * np.nan_to_num(gap.floor) ** 2)
+    more = left is not None or gap.is_above_floor(thresholds.BETTER)
     whole = whole if left else found
     after, alone = _written(likelihood, found, whole, held_out, [
         searched.best, predicting_subset(likelihood, whole, held_out)] if more else [],

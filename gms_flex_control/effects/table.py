@@ -42,6 +42,11 @@ def with_changes(robot) -> RobotParams:
     return robot
 
 
+def of_stages(robot, *stages) -> list:
+    """Return the effects (EffectSpec) of a robot `with_changes` that act in some stages."""
+    return [spec for spec in robot.effects if find(spec.name).stage in stages]
+
+
 def is_friction(kind) -> bool:
     """Return whether parameters of the friction model express an effect as well."""
     return kind.in_friction is not Effect.in_friction

@@ -158,7 +158,7 @@ def with_actuators(recording: Recording, robot: RobotParams) -> Recording:
     They act on commands; where none were recorded, on efforts, which then are commands.
     """
     robot = effect_table.with_changes(robot)
-    effects = [spec for spec in robot.effects if find(spec.name).stage == Stage.ACTUATOR]
+    effects = effect_table.of_stages(robot, Stage.ACTUATOR)
     if not effects or absent_joints(recording, robot):
         return recording
     columns = [recording.joints.index(joint) for joint in robot.joints]
@@ -201,7 +201,7 @@ def at_own_rate(recording: Recording) -> Recording:
 
 def cleared(recording: Recording, robot: RobotParams) -> Recording:
     """Return a recording in the robot's joint order, without the known errors of its encoders."""
-    sensors = [spec for spec in robot.effects if find(spec.name).stage == Stage.SENSOR]
+    sensors = effect_table.of_stages(robot, Stage.SENSOR)
     if not sensors:
         return recording
     constants, work = _constants(robot, sensors), plant.workspace(robot.n_joints)
@@ -223,7 +223,7 @@ def effects_along(robot: RobotParams, time, q_link, q_motor, torque, period: flo
     is even, from the beginning of the recording; angles (T, n), of an absent motor NaN;
     ``torque`` (T, n) of the drive, for effects that look at it.
     """
-    acting = [spec for spec in robot.effects if find(spec.name).stage in _ON_LINK]
+    acting = effect_table.of_stages(robot, *_ON_LINK)
     if not acting:
         return np.zeros_like(torque), np.ones_like(torque)
     motion, constants = _motion(time, q_link, q_motor, period), _constants(robot, acting)
@@ -234,7 +234,7 @@ def effects_along(robot: RobotParams, time, q_link, q_motor, torque, period: flo
                          _state(robot), plant.workspace(robot.n_joints), out)
         return out
     none = driving(0.0)
-    if not any(find(spec.name).stage == Stage.FRICTION for spec in acting):
+    if not effect_table.of_stages(robot, Stage.FRICTION):
         return means_to_next(none), np.ones_like(torque)
     return means_to_next(none), none - driving(1.0)  # affine in friction
 

@@ -26,8 +26,8 @@ import numpy as np
 
 MOST_BLOCKS = 8   # of one joint; records of all joints have this many, so that one kernel serves
 N_STEADY = 9      # numbers of Stribeck curves and attraction
-LAG = 0.08         # of F_c over C: lag of sliding friction to begin with [s]
-_DROP = 0.1        # of F_c: F_s - F_c to begin with
+LAG = 0.08        # of F_c over C: lag of sliding friction to begin with [s]
+DROP = 0.1        # of F_c: F_s - F_c to begin with
 STATICS = [STATIC, PER_DIRECTION + STATIC]  # places of F_s in the parameters
 
 
@@ -128,13 +128,13 @@ def with_narrow_curves(free: np.ndarray, velocity: float) -> np.ndarray:
 
     For such as have not ended at all: what was static friction is F_c, which lags as usual.
     """
-    narrow = free.copy()
+    narrow, levels = free.copy(), []
     for way in range(2):
-        coulomb, drop, speed, _ = range(*of_direction(way).indices(len(free)))
-        narrow[coulomb] = np.logaddexp(free[coulomb], free[drop])
-        narrow[drop] = narrow[coulomb] + np.log(_DROP)
-        narrow[speed] = np.log(velocity)
-    narrow[N_STEADY - 1] = narrow[[0, 4]].mean() - np.log(LAG)
+        coulomb, drop, _, viscous = free[of_direction(way)]
+        levels.append(np.logaddexp(coulomb, drop))
+        narrow[of_direction(way)] = (levels[-1], levels[-1] + np.log(DROP), np.log(velocity),
+                                     viscous)
+    narrow[N_STEADY - 1] = np.mean(levels) - np.log(LAG)
     return narrow
 
 

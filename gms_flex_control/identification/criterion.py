@@ -15,7 +15,7 @@ from functools import cache
 from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import rms
-from gms_flex_control.identification.coordinates import Coordinates
+from gms_flex_control.identification.coordinates import Coordinates, DROP
 from gms_flex_control.identification.least_squares import fit_torque, prior_of, refine, TorqueError
 from gms_flex_control.identification.objective import (
     coarser,
@@ -53,7 +53,7 @@ _SHORT = 60.0         # data in which one part held out is too little to choose 
 WORTH = 0.97         # of the error: a fit that is no better is not chosen
 NEXT_TO_NOTHING = 0.05  # of the friction torque
 _FAR, _LITTLE = 0.7, 1.3  # of the errors of the innovations: where torque decides after all
-_DROP, _LEVEL_SD = 0.1, 0.3  # of Coulomb friction: F_s - F_c to begin with; of its logarithm
+_LEVEL_SD = 0.3       # of the logarithm of Coulomb friction
 
 
 class Choice(NamedTuple):
@@ -251,7 +251,7 @@ def _levelled(free, plain):
     for at in (0, PER_DIRECTION):
         level[at + VISCOUS] = plain[at + VISCOUS]
         level[at] = plain[at]
-        level[at + 1] = plain[at] + np.log(_DROP)
+        level[at + 1] = plain[at] + np.log(DROP)
     return level
 
 

@@ -8,7 +8,7 @@ import warnings
 
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.coordinates import LAG
+from gms_flex_control.identification.coordinates import DROP, LAG
 from gms_flex_control.identification.outcome import FrictionMap
 from gms_flex_control.identification.segments import filled, Segment, torque_at_samples
 from gms_flex_control.params.arm import ArmParams
@@ -24,7 +24,7 @@ _LAGGING = 2        # windows at the beginning of one
 _SLOWEST_STEPS = 3  # encoder steps a window must travel
 _FEWEST = 4         # points of a direction for a Stribeck curve; below, Coulomb and viscous only
 _FEWEST_WINDOWS = 3  # of motion in a direction
-_DROP, _NARROW = 0.1, 0.02  # of F_c and of the top velocity: F_s - F_c and v_s of a straight curve
+_NARROW = 0.02      # of the top velocity: v_s of a straight curve
 _LEAST = 0.05       # of the largest torque: F_c of a straight curve
 _FAINT = 0.1        # factor of friction that effects leave, at least: less says nothing of it
 _FINEST = 0.25      # of an encoder step: smallest yield of the spread
@@ -141,7 +141,7 @@ def _straight(velocity, torque):
     top = velocity.max()
     level, rise = nnls(np.stack([np.ones(len(velocity)), velocity / top], axis=1), torque)[0]
     level = max(level, _LEAST * float(np.abs(torque).max()), 1e-12)
-    return Stribeck((1.0 + _DROP) * level, level, _NARROW * top, max(rise, 1e-3 * level) / top)
+    return Stribeck((1.0 + DROP) * level, level, _NARROW * top, max(rise, 1e-3 * level) / top)
 
 
 def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint: str, source: str,

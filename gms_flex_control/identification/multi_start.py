@@ -282,8 +282,9 @@ def _with_both_curves(objective, coordinates, free, prior):
     """
     end = refine(objective, coordinates, free, prior, roughly=True)
     velocities = coordinates.parameters(end.free)[[VELOCITY, PER_DIRECTION + VELOCITY]]
-    if velocities.min() > objective.fastest:
-        begins = [with_narrow_curves(end.free, share * objective.fastest) for share in _NARROW]
+    top = objective.fastest
+    if velocities.min() > top:
+        begins = [with_narrow_curves(end.free, share * top) for share in _NARROW]
     elif velocities.max() > _LOST * velocities.min():
         begins = [with_both_as(end.free, way) for way in range(2)]
     else:

@@ -73,7 +73,8 @@ def friction_values(identification: outcome.Identification) -> dict:
     values = {name: believed[name] for name in ('joints', 'motors')}
     for name, value in found.items():
         part = name.split('.')[0]
-        if part == 'friction' or part == 'arm' and not identification.described or (
+        if part in ('friction', 'identified_from') or (
+                part == 'arm' and not identification.described) or (
                 part in ('arm', 'effects') and value != believed.get(name)
                 and not (name.endswith('.stiffness') and math.isinf(value))):
             values[name] = value
@@ -82,11 +83,8 @@ def friction_values(identification: outcome.Identification) -> dict:
         count = 1 + max(i for i, weight in enumerate(values[f'{prefix}weight']) if weight > 0.0)
         for name in ('stiffness', 'weight'):
             values[prefix + name] = values[prefix + name][:count]
-    values |= {f'uncertainty.{joint}.{kind}': sd
-               for (kind, joint), sd in uncertainty_of(identification).items()}
-    if identification.robot.identified_from:
-        values['identified_from'] = list(identification.robot.identified_from)
-    return values
+    return values | {f'uncertainty.{joint}.{kind}': sd
+                     for (kind, joint), sd in uncertainty_of(identification).items()}
 
 
 # kinds of known parameters by the parameters of friction that determine them

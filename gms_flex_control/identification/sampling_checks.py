@@ -74,12 +74,12 @@ def _lost(signals, steps, gaps):
 
 def missing(signals: Recording, robot: RobotParams) -> list[Finding]:
     """Return findings for numbers that are not there."""
-    found = []
+    found, alone = [], signals.motors_alone
     for j, joint in enumerate(signals.joints):
         flexible = not robot.arm.rigid[j]
         channels = [('link angle', signals.q_link[:, j], True),
                     ('torque', signals.tau_motor[2:, j], not flexible)]
-        if flexible and _of_motor_alone(signals, j):
+        if flexible and alone[j]:
             found.append(Finding('missing', joint, 'refuse', (
                 f'{signals.source}: the link angle of {joint} was not recorded, from which the '
                 'friction of a flexible joint is identified; gms_flex discrepancy computes it '
@@ -92,10 +92,6 @@ def missing(signals: Recording, robot: RobotParams) -> list[Finding]:
         for name, values, needed in channels:
             found += _holes(signals, joint, name, values, needed)
     return found
-
-
-def _of_motor_alone(signals, j):
-    return np.isfinite(signals.q_motor[:, j]).any() and not signals.links_seen[j]
 
 
 def _holes(signals, joint, name, values, needed):

@@ -10,7 +10,7 @@ from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices
 from gms_flex_control.effects.base import Stage
-from gms_flex_control.effects.registry import find
+from gms_flex_control.effects.table import of_stages
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.assumed_robot import effects_along
 from gms_flex_control.params.arm import ArmParams, carrying
@@ -65,10 +65,10 @@ def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
 
     'spring' where the joint is flexible, both sides were measured, and the spring's torque agrees
     with the motor equation as far as a torque was recorded, of a plain spring and motor; else a
-    TorqueWarning says so. Raises
-    IdentificationError if a joint has neither. Joints of the recording in the robot's order.
+    TorqueWarning says so. Raises IdentificationError if a joint has neither. Joints of the
+    recording in the robot's order.
     """
-    sides = []
+    sides, described = [], {spec.joint for spec in of_stages(robot, *_OF_SPRING)}
     for j, joint in enumerate(robot.joints):
         two_sided = not robot.arm.rigid[j] and np.isfinite(recording.q_motor[:, j]).any()
         has_torque = np.isfinite(recording.tau_motor[:, j]).any()
@@ -76,9 +76,7 @@ def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
             raise IdentificationError(
                 f'{recording.source}: {joint} has neither a motor torque (effort) nor angles of '
                 'both sides of a spring; record the effort, or the motor side as well')
-        if two_sided and has_torque and not any(
-                spec.joint == joint and find(spec.name).stage in _OF_SPRING
-                for spec in robot.effects):
+        if two_sided and has_torque and joint not in described:
             off = _spring_mismatch(recording, robot, j)
             if off > _SPRING_OFF:
                 warnings.warn(
@@ -194,8 +192,7 @@ def _segment(recording, robot, sides, phases, rows, period, even):
     tested, phase = _tested(phases, recording, grid, robot.joints)
     return Segment(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
-                   factor=factor,
-                   tested=tested & known, phase=phase, source=recording.source,
+                   factor=factor, tested=tested & known, phase=phase, source=recording.source,
                    window=max(windows))
 
 
