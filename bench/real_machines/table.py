@@ -86,6 +86,31 @@ def remarks(outcomes):
     return lines
 
 
+def _short(outcomes):
+    """
+    Return the table of the document: a machine's title once, no band, no verdict beside names.
+
+    What is known of a machine is in bold where it was named, else stands behind 'missed'.
+    """
+    head, *table = rows(outcomes, most=1)
+    short, last = [[head[0], *head[2:10], head[11]]], None
+    for row, outcome in zip(table, outcomes, strict=True):
+        machine = MACHINES[outcome.machine]
+        known = {effect for one in machine.known for effect in one.effects}
+        named = [f'{effect} by identify' for effect in outcome.identified if effect in known]
+        named += [name if name in outcome.added else f'{name} (not added)'
+                  for name, _ in outcome.named] or [outcome.verdict]
+        named = [re.sub(r'^\w+', r'**\g<0>**', one) if one.split()[0] in known else one
+                 for one in named]
+        missed = [one.words for one in machine.known
+                  if not {*one.effects} & {*outcome.identified, *(n for n, _ in outcome.named)}]
+        cells = [', '.join(named), *([f'missed: {", ".join(missed)}'] if missed else [])]
+        title = row[0] if outcome.machine != last else outcome.split
+        short.append([title, *row[2:10], '; '.join(cells)])
+        last = outcome.machine
+    return short
+
+
 def into_document(path, outcomes, skipped, pictures):
     """
     Write the results between the markers of a document, of each split in its lowest band.
@@ -94,8 +119,7 @@ def into_document(path, outcomes, skipped, pictures):
     images/.
     """
     lines = [*remarks(outcomes), *(f'- {line}' for line in skipped)]
-    table = [[row[0], *row[2:]] for row in rows(outcomes, most=1)]  # without the band
-    parts = [as_markdown(table, range(1, 8)), *(['\n'.join(lines)] if lines else []),
+    parts = [as_markdown(_short(outcomes), range(1, 8)), *(['\n'.join(lines)] if lines else []),
              *(f'![{title}](images/{name})' for title, name in pictures)]
     text, made = path.read_text(encoding='utf-8'), '\n\n'.join(parts)
     pattern = f'{re.escape(BEGIN)}.*?{re.escape(END)}'
