@@ -25,9 +25,8 @@ USERS = (('without_ros', 'neither ROS nor a robot', '.'),
          ('with_a_robot', 'ROS and a robot', "'.[ros]'"))
 HEAD = """# How long does it take?
 
-`make newcomers` follows the tutorials in fresh clones with an empty home, on {cores} cores with a
-package registry nearby, the real nodes started by `test/ros2_stand_in.py`, the robot simulated.
-Seconds since the clone began:
+`make newcomers` follows the tutorials in fresh clones, on {cores} cores with a package registry
+nearby and a simulated robot. Seconds since the clone began:
 
 | you have | installed | the longest command ends | the last ends |
 |---|---|---|---|

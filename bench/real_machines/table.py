@@ -88,25 +88,27 @@ def remarks(outcomes):
 
 def _short(outcomes):
     """
-    Return the table of the document: a machine's title once, no band, no verdict beside names.
+    Return the table of the document: a machine's title and the better (b) once, no band.
 
-    What is known of a machine is in bold where it was named, else stands behind 'missed'.
+    What is known of a machine is bold where it was named, else behind 'missed'; what was named
+    and not added stands in brackets.
     """
     head, *table = rows(outcomes, most=1)
-    short, last = [[head[0], *head[2:10], head[11]]], None
+    short, last = [[head[0], *head[2:5], *head[6:10], head[11]]], None
     for row, outcome in zip(table, outcomes, strict=True):
         machine = MACHINES[outcome.machine]
         known = {effect for one in machine.known for effect in one.effects}
-        named = [f'{effect} by identify' for effect in outcome.identified if effect in known]
-        named += [name if name in outcome.added else f'{name} (not added)'
-                  for name, _ in outcome.named] or [outcome.verdict]
-        named = [re.sub(r'^\w+', r'**\g<0>**', one) if one.split()[0] in known else one
-                 for one in named]
+        named = [(effect, '{} by identify') for effect in outcome.identified if effect in known]
+        named += [(name, '{}' if name in outcome.added else '({})') for name, _ in outcome.named]
+        named = [form.format(f'**{effect}**' if effect in known else effect)
+                 for effect, form in named]
+        named += [] if outcome.named else [outcome.verdict]
         missed = [one.words for one in machine.known
                   if not {*one.effects} & {*outcome.identified, *(n for n, _ in outcome.named)}]
         cells = [', '.join(named), *([f'missed: {", ".join(missed)}'] if missed else [])]
         title = row[0] if outcome.machine != last else outcome.split
-        short.append([title, *row[2:10], '; '.join(cells)])
+        better = row[5 if outcome.bands[0].chosen < outcome.bands[0].library else 4]
+        short.append([title, *row[2:4], better, *row[6:10], '; '.join(cells)])
         last = outcome.machine
     return short
 
@@ -119,7 +121,7 @@ def into_document(path, outcomes, skipped, pictures):
     images/.
     """
     lines = [*remarks(outcomes), *(f'- {line}' for line in skipped)]
-    parts = [as_markdown(_short(outcomes), range(1, 8)), *(['\n'.join(lines)] if lines else []),
+    parts = [as_markdown(_short(outcomes), range(1, 7)), *(['\n'.join(lines)] if lines else []),
              *(f'![{title}](images/{name})' for title, name in pictures)]
     text, made = path.read_text(encoding='utf-8'), '\n\n'.join(parts)
     pattern = f'{re.escape(BEGIN)}.*?{re.escape(END)}'
