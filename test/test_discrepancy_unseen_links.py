@@ -9,10 +9,10 @@ from gms_flex_control.discrepancy.fitting import with_white_noise
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import drive_torque, motion_as_modelled, unexplained
 from gms_flex_control.discrepancy.result import FOUND
-from gms_flex_control.discrepancy.samples import with_links
 from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import find
+from gms_flex_control.identification.unseen_links import with_links
 from gms_flex_control.params.robot import EffectSpec, with_effect
 from gms_flex_control.simulation import plant
 import numpy as np

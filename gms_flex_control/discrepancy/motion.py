@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any, Self
 
 from gms_flex_control import records
+from gms_flex_control.data.even_samples import held_triangle, second_difference
 from gms_flex_control.discrepancy import samples as sampling
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects.base import Scales, Travel
@@ -61,7 +62,7 @@ class Motion:
 
     def through_filter(self, torque) -> np.ndarray:
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
-        return thinned(sampling.held_triangle(torque), self.factor)
+        return thinned(held_triangle(torque), self.factor)
 
     @cached_property
     def settled(self) -> np.ndarray:
@@ -122,8 +123,8 @@ def make_motion(samples, factor=None) -> Motion:
     return Motion(
         samples=samples, factor=factor, time=np.ascontiguousarray(samples.time[::factor]),
         period=period * factor, states=thin,
-        second=thinned(sampling.second_difference(samples.readings, period), factor),
-        drive=thinned(sampling.held_triangle(samples.command), factor),
+        second=thinned(second_difference(samples.readings, period), factor),
+        drive=thinned(held_triangle(samples.command), factor),
         torsion_rest=torsion - filtered_alike(
             thin[:, 3] - thin[:, 0], weight_of_neighbours(factor)),
         standing=standing(link, samples.noise[0], period)[::factor],

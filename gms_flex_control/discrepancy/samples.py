@@ -2,25 +2,23 @@
 """
 A recording at even times: angles with their derivatives, torques held, as the equations need it.
 
-Where a flexible joint has no link encoder, the motor equation gives the spring's torque and so
-the link: ``q_link = q_motor - (u - J ddq_motor) / K``, corrected for each model by what its motor
-equation leaves. One equation per joint remains, that of link and motor together.
+Links without encoders are computed (`identification.unseen_links`), corrected for each model by
+what its motor equation leaves.
 
 Faults of the data, which no physics can mend, are looked for before any of that.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import Self
 
 from gms_flex_control.data import signal_analysis as analysis
-from gms_flex_control.data.recording import COVERED, Recording
-from gms_flex_control.dynamics.chain import own_inertia
+from gms_flex_control.data.even_samples import even_time, held, held_torque, resampled
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification import sampling_checks
 from gms_flex_control.identification.check_basis import absent_joints
 from gms_flex_control.identification.recording_checks import check
+from gms_flex_control.identification.unseen_links import unseen_links, with_links
 from gms_flex_control.params.arm import at_last_link, Body, carrying, why_not_carried
-from gms_flex_control.simulation import plant
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 
@@ -28,17 +26,6 @@ _WINDOW = 0.034        # of the smoothing that velocities come from [s]
 _FINE = 20.0           # times a count's own noise: smaller steps are not those of an encoder
 _LONGEST_HOLE = 5.5    # samples: readings farther apart are not bridged
 _SETTLED = 0.3         # after a hole, until friction is that of the motion seen [s]
-_INERTIA_NOISE = 0.05  # of the usual torque: noise of an unseen link's inertia torque
-_BAND = (1.0, 20.0)    # of the low-pass that limits it [Hz]
-
-
-class UnseenLink(NamedTuple):
-    """A link without encoder."""
-
-    joint: int
-    stiffness: float  # as believed [N m/rad]
-    inertia: float    # of the motor, as believed [kg m^2]
-    window: int       # of the low-pass its angle is seen through, samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +66,8 @@ def samples_of(recording, robot) -> Samples:
         if not robot.arm.rigid[j]:
             sides.append((1, 'motor', recording.q_motor))
         for side, name, angles in sides:
-            readings[:, side, j] = _resampled(recording, angles[:, j], time,
-                                              f'{name} angle of {joint!r}')
+            readings[:, side, j] = resampled(recording, angles[:, j], time,
+                                             f'{name} angle of {joint!r}')
             known &= ~_in_hole(recording.time[np.isfinite(angles[:, j])], time, period)
         if robot.arm.rigid[j]:
             readings[:, 1, j] = readings[:, 0, j]
@@ -116,34 +103,13 @@ def make_samples(joints, time, period, readings, command, supply, commanded, sou
     time = np.array(time)  # kernels are compiled anew for a read-only one
     command = np.ascontiguousarray(command)
     for link in unseen:
-        j, motor = link.joint, readings[:, 1, link.joint]
-        readings[:, 0, j] = analysis.low_pass(
-            motor - (held_triangle(command)[:, j] - link.inertia * second_difference(
-                motor, period)) / link.stiffness, link.window)
+        j = link.joint
+        readings[:, 0, j] = link.angle(readings[:, 1, j], command[:, j], period)
     noise = np.sqrt(np.mean(np.diff(readings, 3, axis=0) ** 2, axis=0) / 20.0)
     states = np.stack(analysis.derivatives(readings, period, smoothing(period)), axis=2).reshape(
         len(time), 6, len(joints))
     return Samples(tuple(joints), time, period, readings, np.ascontiguousarray(states), noise,
                    np.ones(len(time), dtype=bool), command, supply, commanded, source, unseen)
-
-
-def second_difference(angle, period) -> np.ndarray:
-    """Return the central second difference of angles (T, ...), zero at both ends."""
-    out = np.zeros_like(angle)
-    out[1:-1] = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / period ** 2
-    return out
-
-
-def held_triangle(torque) -> np.ndarray:
-    """
-    Return torques (T, n) held from sample k to k + 1 as a second difference sees them.
-
-    Under a force held over each sample, ``q[k+1] - 2 q[k] + q[k-1]`` is exactly the mean of both
-    samples' accelerations times the squared period.
-    """
-    out = torque.copy()
-    out[1:] = 0.5 * (torque[1:] + torque[:-1])
-    return out
 
 
 def smoothing(period) -> int:
@@ -157,49 +123,6 @@ def encoder_step(angle, noise) -> float:
     return step if noise < _FINE * step / np.sqrt(12.0) else 0.0
 
 
-# --- links without encoder ----------------------------------------------------------------------
-
-
-def unseen_links(recording, robot) -> tuple:
-    """Return the flexible joints of which only the motor was recorded, tuple of UnseenLink."""
-    arm, found, inertias = robot.arm, [], own_inertia(plant.constants_of(robot).chain)[0]
-    alone = recording.motors_alone
-    for j in range(robot.n_joints):
-        if arm.rigid[j] or not alone[j]:
-            continue
-        stiffness, inertia = float(arm.stiffness[j]), float(arm.motor_inertia[j])
-        # the fourth derivative of white noise of density 2 noise^2 period reaches the equation
-        carried = inertias[j] * inertia / stiffness * (2.0 * np.pi) ** 4
-        noise = analysis.noise_of(recording.q_motor[:, j])
-        density = 2.0 * noise ** 2 * recording.period * carried ** 2
-        band = (9.0 * (_INERTIA_NOISE * _usual_torque(recording, j)) ** 2 / density) ** (1.0 / 9.0)
-        found.append(UnseenLink(j, stiffness, inertia, analysis.low_pass_window(
-            np.clip(band, *_BAND), recording.period)))
-    return tuple(found)
-
-
-def _usual_torque(recording, j):
-    """Return the usual torque of a joint [N m]; its command, if that was recorded."""
-    known = next((torque[np.isfinite(torque)] for torque in (
-        recording.command[:, j], recording.tau_motor[:, j]) if np.isfinite(torque).any()), None)
-    return 1.0 if known is None else max(float(np.std(known)), 1e-12)
-
-
-def with_links(recording, robot) -> Recording:
-    """Return a Recording with the computed angles of links that have no encoder."""
-    unseen = unseen_links(recording, robot)
-    if not unseen:
-        return recording
-    samples, q_link = samples_of(recording, robot), recording.q_link.copy()
-    for link in unseen:
-        q_link[:, link.joint] = np.interp(recording.time, samples.time,
-                                          samples.readings[:, 0, link.joint])
-    return replace(recording, q_link=q_link)
-
-
-# --- even samples -------------------------------------------------------------------------------
-
-
 def _in_hole(read, time, period):
     """Return which times (T,) lie in holes between the times (K,) of readings [s], bool."""
     if len(read) == 0:
@@ -208,54 +131,6 @@ def _in_hole(read, time, period):
     before, after = read[np.maximum(after - 1, 0)], read[np.minimum(after, len(read) - 1)]
     off = np.minimum(np.abs(time - before), np.abs(time - after))
     return (np.maximum(after - before, off) > _LONGEST_HOLE * period) & (off > 0.0)
-
-
-def held_torque(recording, time, period) -> np.ndarray:
-    """Return the torque held from even times on (T, n) [N m]: commands, or efforts reported."""
-    if recording.has_commands:
-        torque = held(recording.command)
-    elif np.isfinite(recording.tau_motor).mean() > COVERED:
-        torque = held(recording.tau_motor)
-        torque = np.concatenate([torque[1:], torque[-1:]])
-    else:
-        raise BagError(f'{recording.source}: neither torque commands nor joint efforts cover the '
-                       'recording; record /effort_controller/commands or the effort of '
-                       '/joint_states too')
-    return torque if time is recording.time else mean_held(torque, recording.time, time, period)
-
-
-def mean_held(torque, since, time, period) -> np.ndarray:
-    """Return the mean from each of even times (T,) on of torques (K, n) held ``since`` (K,)."""
-    until = np.append(since, max(since[-1], time[-1]) + 2.0 * period)
-    return analysis.means_held(torque, until, np.append(time, time[-1] + period))
-
-
-def held(values) -> np.ndarray:
-    """Return values (T, n) with the last one before in every gap, zero at first."""
-    rows = np.where(np.isfinite(values), np.arange(len(values))[:, None], -1)
-    rows = np.maximum.accumulate(rows, axis=0)
-    return np.where(rows >= 0, np.take_along_axis(values, np.maximum(rows, 0), axis=0), 0.0)
-
-
-def even_time(recording) -> tuple:
-    """Return evenly spaced times (T,) over a recording, and their period [s]."""
-    time, period = recording.time, recording.period
-    steps = np.diff(time)
-    if np.abs(steps - period).max() < 1e-3 * period:
-        return time, float((time[-1] - time[0]) / (len(time) - 1))
-    count = int((time[-1] - time[0]) / period * (1.0 + 1e-9)) + 1
-    return time[0] + period * np.arange(count), period
-
-
-def _resampled(recording, values, time, what):
-    """Return values at even times; raise BagError where most are missing."""
-    known = np.isfinite(values)
-    if known.mean() < 0.5:
-        raise BagError(f'{recording.source}: the {what} is missing; the equations of motion '
-                       'need it')
-    if time is recording.time and known.all():
-        return values
-    return np.interp(time, recording.time[known], values[known])
 
 
 _OF_TORQUE = ('swapped_torques', 'swapped_sides', 'torque_sign', 'torque_scale', 'unexplained')

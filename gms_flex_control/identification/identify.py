@@ -52,6 +52,11 @@ from gms_flex_control.identification.segments import (
     while_moved,
 )
 from gms_flex_control.identification.selection import CANDIDATES, few_blocks, objectives_of
+from gms_flex_control.identification.unseen_links import (
+    driven_by_motors,
+    with_links_if_known,
+    words_of_computed,
+)
 from gms_flex_control.params.robot import FrictionParams, RobotParams, StribeckParams, widened
 import numpy as np
 
@@ -111,10 +116,9 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         recordings, holdouts = (
             [(assumed_robot.as_assumed(one, robot), phases) for one, phases in several]
             for several in (recordings, holdouts))
-        for recording, _ in (*recordings, *holdouts):
-            for finding in require(recording, model, force=options.force, rough=whole):
-                if finding.kind != 'torque_scale' or not whole:
-                    warnings.warn(finding.text, stacklevel=2)
+        recordings, holdouts = (
+            [(_checked(one, model, options), phases) for one, phases in several]
+            for several in (recordings, holdouts))
         unknown = next((one.source for one, _ in holdouts if one.operation.load_unknown), None)
         if unknown:
             raise IdentificationError(f'{unknown}: its load is unknown, so that nothing can be '
@@ -142,6 +146,23 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         warnings=tuple(dict.fromkeys(str(item.message) for item in caught)),
         seconds=time.monotonic() - begin, currents=currents,
         spread=data.arm_fit.spread if whole else None, **data.found_beside(robot.joints))
+
+
+def _checked(recording, model, options):
+    """
+    Return a Recording with the angles of links that were not seen; IdentificationError if faulty.
+
+    Such links move as their motors drive them.
+    """
+    whole, seen = options.estimate == 'all', with_links_if_known(recording, model)
+    for finding in require(seen, model, force=options.force, rough=whole):
+        if finding.kind != 'torque_scale' or not whole:
+            warnings.warn(finding.text, stacklevel=3)
+    if seen is recording:
+        return recording
+    computed = recording.motors_alone & seen.links_seen
+    warnings.warn(words_of_computed(seen, computed), stacklevel=3)
+    return driven_by_motors(seen, computed)
 
 
 def _fitted(data, options, say):

@@ -81,10 +81,10 @@ def missing(signals: Recording, robot: RobotParams) -> list[Finding]:
                     ('torque', signals.tau_motor[2:, j], not flexible)]
         if flexible and alone[j]:
             found.append(Finding('missing', joint, 'refuse', (
-                f'{signals.source}: the link angle of {joint} was not recorded, from which the '
-                'friction of a flexible joint is identified; gms_flex discrepancy computes it '
-                'from the motor angle, or describe the joint as rigid, under the name of its '
-                f'motor, {robot.motors[j] or joint + MOTOR_SUFFIX}')))
+                f'{signals.source}: the link angle of {joint} was not recorded, nor a torque '
+                'by which it follows from the motor angle; record either, or describe the joint '
+                f'as rigid, under the name of its motor, {robot.motors[j] or joint + MOTOR_SUFFIX}'
+            )))
             channels = channels[1:]
         if flexible:
             no_torsion = not np.isfinite(signals.tau_motor[2:, j]).any()

@@ -168,7 +168,7 @@ def _next_of(result, folder, holdout):
     model, bags, likelihood = folder / 'robot.yaml', result.data.sources, result.behind.likelihood
     if result.is_open and not result.learned:
         return 'discrepancy', *bags, '--robot', model, '--learn', '--out', folder / 'learned'
-    if not (result.is_open or refusals(result.robot) or likelihood.unseen):
+    if not (result.is_open or refusals(result.robot)):
         return 'identify', *bags, '--robot', model, '--out', folder / 'friction'
     if result.verdict == FOUND and not result.learned:
         return 'discrepancy', *(holdout or bags), '--robot', model, '--out', folder / 'again'

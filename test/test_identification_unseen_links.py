@@ -1,0 +1,34 @@
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
+"""Flexible joints of which only the motors were recorded: friction is identified all the same."""
+
+from dataclasses import replace
+
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.identify import identify
+from identified_axis import axis, experiment, JOINT, part
+import numpy as np
+import pytest
+
+
+def motors_only(recording, **changes):
+    """Return a Recording whose links have no encoder."""
+    nothing = np.full_like(recording.q_link, np.nan)
+    return replace(recording, q_link=nothing, dq_link=nothing, **changes)
+
+
+def test_coulomb_friction_of_a_flexible_joint_shows_by_its_motor_alone():
+    """And a sentence says that the link was computed."""
+    recording, phases = part(experiment(), 0.0, 40.0)
+    found = identify([(motors_only(recording), phases)], axis())
+    assert [one for one in found.warnings if f'link angles of {JOINT} were not recorded' in one]
+    assert found.joints[0].side == 'motor' and not found.robot.arm.rigid.any()
+    for side in ('forward', 'backward'):
+        own, true = (getattr(robot.friction, side).coulomb for robot in (found.robot, axis()))
+        assert own == pytest.approx(true, rel=0.05)
+
+
+def test_without_the_torque_of_the_motor_nothing_says_where_the_link_is():
+    recording, phases = part(experiment(), 0.0, 40.0)
+    blind = motors_only(recording, tau_motor=np.full_like(recording.tau_motor, np.nan))
+    with pytest.raises(IdentificationError, match='not recorded, nor a torque'):
+        identify([(blind, phases)], axis())
