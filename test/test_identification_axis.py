@@ -8,7 +8,8 @@ from core_runs import scaled_friction, single_axis
 from discrepancy_runs import FRICTIONLESS
 from gms_flex_control.data.recording import Phase
 from gms_flex_control.identification.friction_map import friction_map, repeatability
-from gms_flex_control.identification.identify import Data, identify, Options
+from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.problem import Problem
 from gms_flex_control.identification.segments import resolution, Segment
 from identified_axis import axis, experiment, JOINT, part, STATIC, without_phases, YIELDS
 import numpy as np
@@ -223,14 +224,14 @@ def assert_same_data(one, other):
 def test_the_friction_of_the_robot_file_has_no_say():
     recorded, robot = experiment(), axis()
     wrong = replace(robot, friction=scaled_friction(robot.friction, 3.0))
-    assert_same_data(Data([recorded], (), robot), Data([recorded], (), wrong))
+    assert_same_data(Problem([recorded], (), robot), Problem([recorded], (), wrong))
 
 
 def test_recordings_of_unlike_rates_are_taken_at_the_slower_one():
     recorded = experiment()
     slow = (replace(recorded[0], time=1.5 * recorded[0].time, source='slow'), ())
     with pytest.warns(UserWarning, match='sampled every 4 to 6 ms; all are taken every 6 ms'):
-        assert Data([recorded, slow], (), axis()).bundle.period == pytest.approx(6e-3)
+        assert Problem([recorded, slow], (), axis()).bundle.period == pytest.approx(6e-3)
 
 
 def test_noise_of_an_encoder_is_seen_beside_lost_samples():

@@ -26,9 +26,9 @@ from gms_flex_control.errors import GmsFlexError, IdentificationError
 from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.identification.assumed_robot import believed_model, only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import Coordinates
-from gms_flex_control.identification.identify import Data
 from gms_flex_control.identification.objective import held_out, Objective
 from gms_flex_control.identification.prediction_error import coupling_sentences
+from gms_flex_control.identification.problem import Problem
 from gms_flex_control.identification.recording_checks import check, require
 from gms_flex_control.identification.segments import drive_sides, TorqueWarning
 from identified_axis import pendulum
@@ -256,7 +256,7 @@ def data(kind):
     files = [ROOT / 'config' / f'{stem}.yaml' for stem in ('robot', 'controller', 'sinusoid')]
     plan = read_plan(files, overrides=UNLIKE | {'arm.kind': kind, 'duration': 30.0})
     axes = read_plan(files, overrides=UNLIKE | {'arm.kind': 'decoupled'}).robot
-    return axes, Data([(simulate(plan, kind), ())], (), believed_model(axes))
+    return axes, Problem([(simulate(plan, kind), ())], (), believed_model(axes))
 
 
 def theta(robot, j):

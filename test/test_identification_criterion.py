@@ -5,10 +5,11 @@ from core_runs import single_axis
 from discrepancy_runs import FRICTIONLESS
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.identification.believed_arm import Believed
-from gms_flex_control.identification.identify import Data, identify, Options
+from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.least_squares import TorqueError
 from gms_flex_control.identification.objective import everything, Objective
 from gms_flex_control.identification.prediction_error import simple_free
+from gms_flex_control.identification.problem import Problem
 import numpy as np
 import pytest
 
@@ -35,8 +36,8 @@ def recorded(drop, noise, seed, seconds=24.0, period=2e-3):
 def test_a_correction_of_the_arm_explains_the_torque_of_what_was_believed_wrongly():
     """The axis turns by 0.05 kg m^2, 0.04 are believed: the rest is the one further torque."""
     robot = single_axis(FRICTIONLESS, 0.8 * INERTIA)
-    bundle = Data([(recorded(0.0, 0.0, 0), ())], (), robot,
-                  beside=Believed(robot.arm, np.zeros(1))).bundle
+    bundle = Problem([(recorded(0.0, 0.0, 0), ())], (), robot,
+                     beside=Believed(robot.arm, np.zeros(1))).bundle
     bundle = bundle._replace(extras=(lambda segment: -segment.acceleration,))
     left = {}
     for correction in (0.0, 0.2 * INERTIA):

@@ -14,8 +14,8 @@ from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.identification.assumed_robot import believed_model, cleared, with_actuators
 from gms_flex_control.identification.believed_arm import Believed
 from gms_flex_control.identification.coordinates import Coordinates
-from gms_flex_control.identification.identify import Data
 from gms_flex_control.identification.objective import Objective
+from gms_flex_control.identification.problem import Problem
 from gms_flex_control.identification.recording_checks import check
 from gms_flex_control.params.robot import EffectSpec
 from identified_axis import axis, GAINS, JOINT, part, PLAN
@@ -53,7 +53,7 @@ def steady_error(name, effects, rigid):
     """Return how far steady friction of fast strokes is from the truth, at worst over F_c."""
     robot = replace(axis(rigid=rigid), effects=effects,  # another spring may stand for one
                     uncertainty={('stiffness', JOINT): 1e-4})
-    (friction,) = Data([recorded(name, rigid)], (), believed_model(robot)).maps
+    (friction,) = Problem([recorded(name, rigid)], (), believed_model(robot)).maps
     off = []
     for sign, truth in ((1.0, axis().friction.forward), (-1.0, axis().friction.backward)):
         kept = friction.steady & (sign * friction.velocity > 4.0 * truth.velocity[0])
@@ -149,8 +149,8 @@ def test_where_the_arm_is_estimated_effects_are_refused_but_the_one_found_anew()
 
 def innovations(recording, robot, alone):
     """Return the innovations of the first joint with its true friction, rms [rad]."""
-    bundle = Data([(recording, ())], (), robot, alone=alone,
-                  beside=Believed(robot.arm, np.zeros(robot.n_joints))).bundle
+    bundle = Problem([(recording, ())], (), robot, alone=alone,
+                     beside=Believed(robot.arm, np.zeros(robot.n_joints))).bundle
     blocks = Coordinates(robot.friction.stiffness.shape[1])
     sides = (robot.friction.forward, robot.friction.backward)
     numbers = [blocks.pack(

@@ -9,7 +9,8 @@ from gms_flex_control.cli.options import add_verb, BAG, ROBOT, Verb
 from gms_flex_control.data.reader import read_experiment
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.identification.assumed_robot import believed_model
-from gms_flex_control.identification.identify import Data, identify
+from gms_flex_control.identification.identify import identify
+from gms_flex_control.identification.problem import Problem
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.simulation.predictor import ATTRACTION
 
@@ -28,7 +29,7 @@ def paper_method(args):
     """Print a table of the parameters found by both methods; return 0."""
     robot = load_robot(args.robot or [robot_file()])
     take = read_experiment(args.bag, robot.joints, robot.motors)
-    bundle = Data([take], [], believed_model(robot, whole=False, force=False)).bundle
+    bundle = Problem([take], [], believed_model(robot, whole=False, force=False)).bundle
     default = {one.name: one for result in identify([take], robot).joints
                for one in result.estimates}
     rows = []

@@ -155,7 +155,7 @@ _IDENTIFY = Verb(
      'identify first second --robot robot.yaml --holdout third --out results',
      'identify my_bag --out results'))
 _DISCREPANCY = Verb(
-    'discrepancy', 'discrepancy_of_bags.discrepancy_verb',
+    'discrepancy', 'recordings.discrepancy_verb',
     'find what a model lacks, name it, add it, show the gap shrink',
     'Compare a model with bags of its robot, recorded or simulated; name the physical effects it '
     'lacks, write them into DIR/robot.yaml, and show on held-out data how much better it '

@@ -2,67 +2,26 @@
 """From recordings to friction parameters, their intervals and errors: the whole way."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import time
-from typing import Self
 import warnings
 
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.errors import IdentificationError, own_warnings
-from gms_flex_control.friction import steady_friction
-from gms_flex_control.identification import assumed_robot, prediction_error, uncertainty
-from gms_flex_control.identification.arm_differences import difference_estimates
-from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
-from gms_flex_control.identification.arm_regression import fit_differences
-from gms_flex_control.identification.believed_arm import believed
-from gms_flex_control.identification.coordinates import friction_record, STATICS
-from gms_flex_control.identification.criterion import (
-    choose_fit,
-    left_of_torque,
-    NEXT_TO_NOTHING,
-    simple_theta,
-    WORTH,
-)
-from gms_flex_control.identification.friction_map import (
-    friction_map,
-    moves,
-    repeatability,
-    start_of,
-)
-from gms_flex_control.identification.multi_start import fit_all, fit_beside
-from gms_flex_control.identification.objective import (
-    Bundle,
-    everything,
-    held_out,
-    numbered,
-    observer_bandwidth,
-)
-from gms_flex_control.identification.outcome import Identification, JointResult
+from gms_flex_control.identification import assumed_robot
+from gms_flex_control.identification.criterion import NEXT_TO_NOTHING, WORTH
+from gms_flex_control.identification.multi_start import fit_beside
+from gms_flex_control.identification.outcome import Identification
+from gms_flex_control.identification.problem import Problem
 from gms_flex_control.identification.recording_checks import require
-from gms_flex_control.identification.segments import (
-    drive_sides,
-    driven,
-    half_count,
-    one_by_one,
-    resolution,
-    rigid_where,
-    segments_of,
-    travel,
-    while_moved,
-)
-from gms_flex_control.identification.selection import CANDIDATES, few_blocks, objectives_of
+from gms_flex_control.identification.selection import CANDIDATES
 from gms_flex_control.identification.unseen_links import (
     driven_by_motors,
     with_links_if_known,
     words_of_computed,
 )
-from gms_flex_control.params.robot import FrictionParams, RobotParams, StribeckParams, widened
+from gms_flex_control.params.robot import RobotParams, widened
 import numpy as np
-
-_SAME_PERIOD = 0.01   # relative difference of sample periods of recordings fitted together
-_CURVE_POINTS = 80
-_VELOCITIES = 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,27 +84,27 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
                                       'predicted; give this recording to be fitted as well')
         currents = _currents_of(recordings, robot, whole)
         in_space = model.arm.frames is not None
-        first = Data(recordings, holdouts, model, whole=whole, alone=in_space)
-        data, fits = _fitted(first, options, say)
+        first = Problem(recordings, holdouts, model, whole=whole, alone=in_space)
+        problem, fits = _fitted(first, options, say)
         if (model.arm.kind == 'planar' and model.n_joints > 1 and not whole
-                and data.unexplained(fits).max() > NEXT_TO_NOTHING):
+                and problem.unexplained(fits).max() > NEXT_TO_NOTHING):
             say('each joint by itself')
-            data, fits = _better((data, fits), _fitted(first.each_alone(), options, say))
-        if words := data.words():
+            problem, fits = _better((problem, fits), _fitted(first.each_alone(), options, say))
+        if words := problem.words():
             warnings.warn(words, stacklevel=2)
         say('intervals and errors on data held out')
-        joints, arm = data.results(fits)
+        joints, arm = problem.results(fits)
     described = replace(arm, uncertainty=robot.uncertainty) if whole else robot
     return Identification(
-        robot=data.with_friction(replace(described, identified_from=identities), fits),
+        robot=problem.with_friction(replace(described, identified_from=identities), fits),
         believed=robot,
         joints=joints, sources=tuple(one.source for one, _ in recordings),
         holdouts=tuple(one.source for one, _ in holdouts),
         duration=float(sum(one.time[-1] - one.time[0] for one, _ in recordings)),
-        period=data.bundle.period,
+        period=problem.bundle.period,
         warnings=tuple(dict.fromkeys(str(item.message) for item in caught)),
         seconds=time.monotonic() - begin, currents=currents,
-        spread=data.arm_fit.spread if whole else None, **data.found_beside(robot.joints))
+        spread=problem.arm_fit.spread if whole else None, **problem.found_beside(robot.joints))
 
 
 def _checked(recording, model, options):
@@ -165,23 +124,23 @@ def _checked(recording, model, options):
     return driven_by_motors(seen, computed)
 
 
-def _fitted(data, options, say):
-    """Return Data, and the JointFit of each joint that is chosen."""
-    fits = data.search(options, say)
-    if not data.whole:
+def _fitted(problem, options, say):
+    """Return the Problem, and the JointFit of each joint that is chosen."""
+    fits = problem.search(options, say)
+    if not problem.whole:
         say('links beside this friction')
-        data = data.beside(fits)
-        fits = fit_beside(data.bundle, fits)
-    return data, data.choose(fits, say)
+        problem = problem.beside(fits)
+        fits = fit_beside(problem.bundle, fits)
+    return problem, problem.choose(fits, say)
 
 
 def _better(together, apart):
     """
-    Return Data and JointFits of joints taken apart where they explain more torque held out.
+    Return the Problem and JointFits of joints taken apart where they explain more torque held out.
 
     Together, what the model lacks at one joint disturbs all; apart, accelerations have noise.
     """
-    left, right = (np.log(data.unexplained(fits)).mean() for data, fits in (together, apart))
+    left, right = (np.log(problem.unexplained(fits)).mean() for problem, fits in (together, apart))
     return apart if right < left + np.log(WORTH) else together
 
 
@@ -198,249 +157,3 @@ def _currents_of(recordings, robot, whole):
             'inertia is in kg m^2: state it as torque_constant in recording.yaml, or leave '
             '--robot away, then all is identified per torque constant')
     return True
-
-
-class Data:
-    """
-    Recordings of one robot, cut into segments.
-
-    ``given`` and ``holdouts`` are (Recording, phases), the robot is of
-    assumed_robot.believed_model; ``whole`` says that the arm is estimated as well. Otherwise
-    friction is fitted ``beside`` a Believed arm, by default what the recordings show. Joints are
-    taken ``alone``, each with the motion of the others as measured; those of a planar chain may
-    move together.
-    """
-
-    def __init__(self, given, holdouts, robot, *, whole=False, alone=True, beside=None):
-        self.whole, self._given = whole, (given, holdouts, robot)
-        half = half_count(given[0][0].of_joints(robot.joints), robot)  # of readings as they are
-        recordings = [assumed_robot.cleared(one.of_joints(robot.joints), robot)
-                      for one, _ in (*given, *holdouts)]
-        period, joints = _common_period(recordings), range(robot.n_joints)
-        self.arm_fit = estimate_arm(recordings[:len(given)], robot) if whole else None
-        robot = self.arm_fit.robot if whole else robot
-        self.described, self.sides = robot, drive_sides(recordings[0], robot)
-        self._recordings = recordings[:len(given)]
-        if not whole:
-            beside = beside or believed(self._recordings, robot)
-            robot = replace(robot, arm=beside.arm)
-            recordings = [beside.in_time(one) for one in recordings]
-        self._beside = beside
-        self.differences = None  # of an arm in space alone
-        if robot.arm.frames is not None:
-            self.differences = self.arm_fit.differences if whole else fit_differences(
-                recordings[:len(given)], robot)
-        self.robot = rigid_where(robot, self.sides)
-        parts = [segments_of(recording, robot, self.sides, phases, period) for recording,
-                 (_, phases) in zip(recordings, (*given, *holdouts), strict=True)]
-        if self.differences:
-            parts = [[self.differences.cleared(one, r) for one in part]
-                     for r, part in enumerate(parts)]
-        found = self.differences.loads if self.differences else {}
-        loads = [found[r].body if r in found else one.operation.load
-                 for r, one in enumerate(recordings)]
-        self._alone = alone and robot.arm.kind != 'decoupled'
-        if self._alone:
-            parts, self.robot = one_by_one(parts, self.robot, loads,
-                                           self.differences and self.differences.loaded)
-        if whole:
-            parts = [[self.arm_fit.cleared(one) for one in part] for part in parts]
-        fitted, apart = (while_moved([one for part in parts[rows] for one in part],
-                                     recordings[rows]) for rows in (
-            slice(len(given)), slice(len(given), None)))
-        segments, self._apart = numbered(fitted, period), apart
-        self._steps = np.array([resolution(segments, j, 2.0 * half[j]) for j in joints])
-        self.maps = [friction_map(segments, self.robot.arm, j, period, half[j]) for j in joints]
-        self._sources = [one.source for one, _ in given]
-        self.fitted = self._joints_to_fit()  # all that follows is of these joints
-        if len(self.fitted) < robot.n_joints:
-            self.robot = assumed_robot.only_joints(
-                self.robot, [robot.joints[j] for j in self.fitted])
-            self.sides, self.maps = ([one[j] for j in self.fitted] for one in (
-                self.sides, self.maps))
-            segments, self._apart = ([one.of_joints(self.fitted) for one in several]
-                                     for several in (segments, self._apart))
-        arm, half, self.step = self.robot.arm, half[self.fitted], self._steps[self.fitted]
-        self.starts = [start_of(self.maps[k], travel(segments, k), self.step[k],
-                                robot.joints[j], recordings[0].source,
-                                self.arm_fit.joints[j].friction if whole else None)
-                       for k, j in enumerate(self.fitted)]
-        coulomb = np.array([start.forward.coulomb for start in self.starts])
-        extras = self.arm_fit.extras() if whole else (None,) * robot.n_joints
-        self.bundle = Bundle(
-            tuple(segments), arm, period, half,
-            observer_bandwidth(arm, coulomb, half, self.step / 3.0, period),
-            tuple(extras[j] for j in self.fitted))
-        self.choices = ()
-
-    def _joints_to_fit(self):
-        """
-        Return the numbers of the joints whose friction is fitted; a warning names the others.
-
-        An arm in space is often recorded joint by joint, and drives exist that give no torque.
-        Links of a planar chain are never left out, nor an axis that stands.
-        """
-        joints = range(self.described.n_joints)
-        moved = [j for j in joints if moves(self.maps[j])]
-        is_driven = np.any([driven(one, self.sides) for one in self._recordings], axis=0)
-        fitted = [j for j in joints if is_driven[j] and (
-            j in moved or self.described.arm.frames is None)]
-        if len(fitted) in (0, len(joints)) or not moved:
-            return list(joints)
-        for why, left_out in (
-                ('hardly move in these recordings', is_driven),
-                ('have no torque that was recorded, or one that never changes', ~is_driven)):
-            others = [self.described.joints[j] for j in joints
-                      if left_out[j] and j not in fitted]
-            if others:
-                warnings.warn(
-                    f'{", ".join(self._sources)}: {", ".join(others)} {why}: their friction stays '
-                    'as described, a placeholder where nothing was stated', stacklevel=4)
-        return fitted
-
-    def with_friction(self, robot, fits) -> RobotParams:
-        """Return a robot with the friction of JointFits, and what grows with the load."""
-        per_load = self.arm_fit.loaded if self.arm_fit else np.zeros(robot.n_joints)
-        return assumed_robot.with_load_friction(
-            replace(robot, friction=robot.friction.with_joints(
-                self.fitted, _friction_params(fits))),
-            per_load + (self.differences.loaded if self.differences else 0.0), self._steps)
-
-    def found_beside(self, joints) -> dict:
-        """Return ``constants`` and ``loads`` of the Identification."""
-        found = self.differences
-        if not found:
-            return {}
-        return {'constants': {joints[j]: (1.0 / found.scale[j], found.scale_sd[j])
-                              for j in np.flatnonzero(found.prior_sd > 0.0)},
-                'loads': {r: one.body for r, one in found.loads.items()}}
-
-    def beside(self, fits) -> Self:
-        """Return the Data beside what they show of the arm with the friction of JointFits."""
-        thetas = {self.described.joints[j]: fit.theta
-                  for j, fit in zip(self.fitted, fits, strict=True)}
-        return Data(*self._given, alone=self._alone, beside=believed(
-            self._recordings, self.described, thetas, self._beside.arm))
-
-    def each_alone(self) -> Self:
-        """Return the Data in which the others move as measured, beside the same arm."""
-        return Data(*self._given, beside=self._beside)
-
-    def words(self) -> str:
-        """Return a sentence of what is other than described, '' where nothing is."""
-        return '' if self.whole else self._beside.words(self.described)
-
-    def unexplained(self, fits) -> np.ndarray:
-        """Return the parts (n,) of the friction torque held out that JointFits leave."""
-        return np.array([left_of_torque(*each) for each in zip(
-            objectives_of(self.bundle, fits), fits, self.step, strict=True)])
-
-    def search(self, options, say) -> list:
-        """Return the JointFit per joint that predicts motion best."""
-        extras = [np.zeros(len(self.arm_fit.joints[j].units) if self.arm_fit else 0)
-                  for j in self.fitted]
-        return fit_all(self.bundle, self.starts, extras, self.step, blocks=options.blocks,
-                       say=say)
-
-    def choose(self, fits, say) -> list:
-        """Return the JointFit per joint that is chosen of those that `search` found."""
-        say('comparing with a fit of the torque')
-        self.choices = _per_joint(
-            choose_fit, objectives_of(self.bundle, fits), fits, self.step)
-        return [choice.fit.alike_both_ways(start.unmoved) for choice, start in zip(
-            self.choices, self.starts, strict=True)]
-
-    def results(self, fits) -> tuple:
-        """Return a JointResult per joint that was fitted, and the robot with the arm found."""
-        objectives, thetas = objectives_of(self.bundle, fits), [fit.theta for fit in fits]
-        spreads = _per_joint(lambda choice, *found: choice.spread or uncertainty.spread_of(*found),
-                             self.choices, objectives, fits)
-        further, robot = [()] * self.described.n_joints, self.described
-        if self.arm_fit and self.arm_fit.final:
-            further = self.arm_fit.final
-        elif self.arm_fit:
-            further = arm_estimates(self.robot, self.arm_fit, thetas, spreads)
-            found = folded(self.robot, self.arm_fit, thetas)
-            robot = replace(robot, effects=found.effects, arm=replace(
-                found.arm, stiffness=robot.arm.stiffness))
-        if self.differences:
-            further = [(*own, *rows) for own, rows in zip(further, difference_estimates(
-                self.differences, robot.joints, self._sources), strict=True)]
-        others = [row for j, rows in enumerate(further) if j not in self.fitted for row in rows]
-        further = [further[j] for j in self.fitted]
-        further[0] = (*further[0], *others)  # of the arm, and of links that did not move
-        return tuple(_per_joint(self._result, objectives, fits, spreads, further)), robot
-
-    def _result(self, objective, fit, spread, further):
-        """Return the JointResult of one joint; ``further`` are Estimates beyond friction."""
-        joint, bundle, theta = objective.joint, self.bundle, fit.theta
-        top = np.abs(self.maps[joint].velocity).max()
-        velocity = np.concatenate([-np.geomspace(top, 1e-4 * top, _VELOCITIES),
-                                   np.geomspace(1e-4 * top, top, _VELOCITIES)])
-        estimates = uncertainty.estimates_of(
-            self.robot.joints[joint], fit.coordinates, fit.free, spread,
-            prediction_error.presliding_reach(objective, theta),
-            travel(bundle.segments, joint), fit.rivals, top)
-        curve = uncertainty.curve_of(fit, spread, uncertainty.shown_displacements(
-            estimates, theta[STATICS].mean(), self.step[joint], _CURVE_POINTS))
-        return JointResult(
-            joint=self.robot.joints[joint], side=self.sides[joint], estimates=estimates + further,
-            curve=curve, friction_map=self.maps[joint], steady_velocity=velocity,
-            steady_torque=steady_friction(velocity[:, None], _friction_params([fit]))[:, 0],
-            loops=prediction_error.loops_of(objective, theta),
-            traces=prediction_error.traces_of(objective, theta, held_out(bundle.period)),
-            candidates=tuple(one._replace(chosen=one.n_blocks == fit.coordinates.n_blocks)
-                             for one in fit.candidates),
-            held_out=self._errors(objective, fit),
-            warnings=(*self.choices[joint].sentences, *few_blocks(fit),
-                      *prediction_error.coupling_sentences(
-                          objective, theta, self.robot.joints, held_out(bundle.period),
-                          self._apart, self._alone)))
-
-    def _errors(self, objective, fit):
-        joint, bundle, judged = objective.joint, self.bundle, objective
-        chosen, theta = held_out(bundle.period), fit.coordinates.parameters(fit.held)
-        if any(one.tested[:, joint].any() for one in self._apart):
-            judged = objective.of(bundle=bundle._replace(segments=tuple(self._apart)))
-            theta, chosen = fit.theta, everything
-        simple = simple_theta(objective, fit, self.step[joint], bool(self._apart))
-        return prediction_error.held_out_errors(
-            judged, theta, simple, chosen, self.step[joint], repeatability(
-                bundle.segments, self.robot.arm, joint, bundle.period, bundle.half[joint]))
-
-
-def _per_joint(task, *given):
-    """Return what ``task`` returns for what is ``given`` of each joint, in as many threads."""
-    with ThreadPoolExecutor(max_workers=len(given[0])) as pool:
-        return list(pool.map(task, *given))
-
-
-def _common_period(recordings):
-    """
-    Return the sample period of recordings fitted together [s], the longest of theirs.
-
-    A warning says so if they differ.
-    """
-    periods = [recording.period for recording in recordings]
-    if max(periods) / min(periods) > 1.0 + _SAME_PERIOD:
-        warnings.warn(f'the recordings are sampled every {1e3 * min(periods):.4g} to '
-                      f'{1e3 * max(periods):.4g} ms; all are taken every '
-                      f'{1e3 * max(periods):.4g} ms', stacklevel=2)
-    return max(periods)
-
-
-def _friction_params(fits):
-    """Return FrictionParams of joints, one JointFit each, blocks from soft to stiff."""
-    record = friction_record([fit.theta for fit in fits])
-    most = max(fit.coordinates.n_blocks for fit in fits)
-    blocks = np.zeros((2, len(fits), most))
-    for j, fit in enumerate(fits):
-        n = fit.coordinates.n_blocks
-        order = np.argsort(record.stiffness[j, :n], kind='stable')
-        blocks[0, j, :n] = record.stiffness[j, :n][order]
-        blocks[1, j, :n] = record.weight[j, :n][order]
-    sides = [StribeckParams(**{name: getattr(record, name)[row].copy() for name in (
-        'static', 'coulomb', 'velocity', 'viscous')}) for row in range(2)]
-    return FrictionParams(forward=sides[0], backward=sides[1], stiffness=blocks[0],
-                          weight=blocks[1] / blocks[1].sum(axis=1, keepdims=True),
-                          attraction=record.attraction.copy())

@@ -34,7 +34,7 @@ from itertools import combinations
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import friction_columns, is_moving, quantum, sign_fit
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification import check_limits as limits
+from gms_flex_control.identification import check_basis as limits
 from gms_flex_control.identification import sampling_checks
 from gms_flex_control.identification.check_basis import absent_joints, Balance, Finding, spring_fit
 from gms_flex_control.params.arm import carrying

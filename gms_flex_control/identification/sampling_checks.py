@@ -3,7 +3,7 @@
 
 from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import MOTOR_SUFFIX, Recording
-from gms_flex_control.identification import check_limits as limits
+from gms_flex_control.identification import check_basis as limits
 from gms_flex_control.identification.check_basis import Finding, sides
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
