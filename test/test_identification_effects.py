@@ -136,7 +136,7 @@ def test_a_flexible_joint_whose_link_nobody_sees_is_refused_with_the_way_out():
     recording, _ = part(recorded('backlash', False), 0.0, 10.0)
     unseen = replace(recording, q_link=np.full_like(recording.q_link, np.nan))
     said = [one.text for one in check(unseen, axis()) if one.severity == 'refuse']
-    assert re.search(f'discrepancy computes .* as rigid, .* {JOINT}_motor', *said)
+    assert re.search(f'record either, .* as rigid, .* {JOINT}_motor', *said)
 
 
 def test_where_the_arm_is_estimated_effects_are_refused_but_the_one_found_anew():
