@@ -8,6 +8,7 @@ import re
 from bench.hidden_robots.motions import draw_reference
 from bench.identification_simulated import simulate_identification
 from discrepancy_runs import driven
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.experiment.identification_plan import plan_identification
@@ -87,6 +88,22 @@ def test_torques_that_acted_follow_from_commands_where_drives_have_effects(name)
     for one in (commands_alone, efforts_alone):
         assert rms(with_actuators(one, drive).tau_motor[1:] - acted) < 0.01 * rms(acted)
     assert with_actuators(recording, axis(rigid=True)) is recording
+
+
+@pytest.mark.parametrize('kind', ['command', 'tau_motor'])
+def test_a_torque_that_was_not_recorded_is_the_last_one(kind):
+    """A drive of 1.3 times the torque asked for gives that of the last command in a gap."""
+    drive = replace(axis(rigid=True), effects=(
+        EffectSpec(name='torque_gain', joint=JOINT, values=(0.3,)),))
+    torque, none = 1.0 + np.arange(400.0)[:, None], np.full((400, 1), np.nan)
+    torque[200:203] = np.nan
+    recording = Recording(joints=(JOINT,), time=2e-3 * np.arange(400), source='here',
+                          **{'command': none, 'tau_motor': none} | {kind: torque})
+    acted = with_actuators(recording, drive).tau_motor[1:, 0]
+    asked = torque[:-1, 0] if kind == 'command' else torque[1:, 0]
+    known = np.isfinite(asked)
+    np.testing.assert_allclose(acted[known], 1.3 * asked[known])
+    np.testing.assert_allclose(acted[~known], 1.3 * 200.0)
 
 
 def test_errors_of_encoders_are_taken_off_the_readings():

@@ -31,15 +31,11 @@ def resampled(recording: Recording, values: np.ndarray, time: np.ndarray,
 
 def held_torque(recording: Recording, time: np.ndarray, period: float) -> np.ndarray:
     """Return the torque held from even times on (T, n) [N m]: commands, or efforts reported."""
-    if recording.has_commands:
-        torque = held(recording.command)
-    elif np.isfinite(recording.tau_motor).mean() > COVERED:
-        torque = held(recording.tau_motor)
-        torque = np.concatenate([torque[1:], torque[-1:]])
-    else:
+    if not recording.has_commands and np.isfinite(recording.tau_motor).mean() <= COVERED:
         raise BagError(f'{recording.source}: neither torque commands nor joint efforts cover the '
                        'recording; record /effort_controller/commands or the effort of '
                        '/joint_states too')
+    torque = recording.commanded()
     return torque if time is recording.time else mean_held(torque, recording.time, time, period)
 
 
@@ -48,13 +44,6 @@ def mean_held(torque: np.ndarray, since: np.ndarray, time: np.ndarray,
     """Return the mean from each of even times (T,) on of torques (K, n) held ``since`` (K,)."""
     until = np.append(since, max(since[-1], time[-1]) + 2.0 * period)
     return means_held(torque, until, np.append(time, time[-1] + period))
-
-
-def held(values: np.ndarray) -> np.ndarray:
-    """Return values (T, n) with the last one before in every gap, zero at first."""
-    rows = np.where(np.isfinite(values), np.arange(len(values))[:, None], -1)
-    rows = np.maximum.accumulate(rows, axis=0)
-    return np.where(rows >= 0, np.take_along_axis(values, np.maximum(rows, 0), axis=0), 0.0)
 
 
 def second_difference(angle: np.ndarray, period: float) -> np.ndarray:

@@ -129,6 +129,18 @@ class Recording:
         """Return whether torque commands cover the recording."""
         return bool(np.isfinite(self.command).mean() > COVERED)
 
+    def commanded(self) -> np.ndarray:
+        """
+        Return the torque that answers each sample (T, n) [N m], zero where none was known before.
+
+        In a gap the last one goes on. Where commands do not cover the recording, efforts are
+        taken for them, each for the sample before it.
+        """
+        if self.has_commands:
+            return held(self.command)
+        torque = held(self.tau_motor)
+        return np.concatenate([torque[1:], torque[-1:]])
+
     def supply_at(self, time) -> np.ndarray:
         """Return the voltage of the supply at times (T,) [V], 0 if it is not always known."""
         known = np.isfinite(self.supply)
@@ -154,6 +166,13 @@ class Recording:
     def period(self) -> float:
         """Return the median sample period [s]."""
         return float(np.median(np.diff(self.time)))
+
+
+def held(values: np.ndarray) -> np.ndarray:
+    """Return values (T, n) with the last one before in every gap, zero at first."""
+    rows = np.where(np.isfinite(values), np.arange(len(values))[:, None], -1)
+    rows = np.maximum.accumulate(rows, axis=0)
+    return np.where(rows >= 0, np.take_along_axis(values, np.maximum(rows, 0), axis=0), 0.0)
 
 
 MOTOR_SUFFIX = '_motor'

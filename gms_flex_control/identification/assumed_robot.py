@@ -155,7 +155,8 @@ def with_actuators(recording: Recording, robot: RobotParams) -> Recording:
     """
     Return a recording, of any joints, with the torques that actuators with effects applied.
 
-    They act on commands; where none were recorded, on efforts, which then are commands.
+    They act on commands, in a gap on the last; where none were recorded, on efforts, which then
+    are commands.
     """
     robot = effect_table.with_changes(robot)
     effects = effect_table.of_stages(robot, Stage.ACTUATOR)
@@ -163,9 +164,8 @@ def with_actuators(recording: Recording, robot: RobotParams) -> Recording:
         return recording
     columns = [recording.joints.index(joint) for joint in robot.joints]
     time, torque = recording.time, recording.tau_motor.copy()
-    command = recording.command if recording.has_commands else np.roll(torque, -1, axis=0)
     applied = plant.torque_applied(
-        np.nan_to_num(command[:, columns]), recording.supply_at(time), time - time[0],
+        recording.commanded()[:, columns], recording.supply_at(time), time - time[0],
         recording.period, _constants(robot, effects), _state(robot))
     of_joints = {spec.joint for spec in effects}
     for j, column in enumerate(columns):
