@@ -17,7 +17,7 @@ from gms_flex_control.discrepancy.evidence import (
 from gms_flex_control.discrepancy.fitting import extended
 from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums
 from gms_flex_control.effects.base import Scales, Travel
-from gms_flex_control.params.robot import EffectSpec, widened, with_effect
+from gms_flex_control.params.robot import EffectSpec, widened, with_effects
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -91,7 +91,7 @@ def test_a_softer_spring_has_less_density_where_noise_is_not_of_encoders(robot, 
     """Each torsion counts log(1 + ratio), where variance is a hundred times null simulations'."""
     likelihood = Likelihood([driven_motion(robot, gains, seed=1, duration=6.0)], robot)
     spec = EffectSpec(name='stiffness_error', joint='joint2', values=(ratio,))
-    model = likelihood.fitted(with_effect(robot, spec), np.zeros(len(likelihood.sd)))
+    model = likelihood.fitted(with_effects(robot, spec), np.zeros(len(likelihood.sd)))
     sums = model.sums._replace(groups=100.0 * likelihood.groups.count)
     torsions = np.sum(likelihood.groups.channel == 1)  # of two joints, link equations first
     assert log_determinant(likelihood, replace(model, sums=sums)) == pytest.approx(
@@ -106,8 +106,8 @@ def test_a_robot_of_which_all_torques_are_believed_less_explains_nothing(robot, 
 
     Nor where some of it is taken for noise of drives [N m].
     """
-    hidden = with_effect(robot, EffectSpec(name='position_friction', joint='joint2',
-                                           values=(0.35, 3.0, 0.0)))
+    hidden = with_effects(robot, EffectSpec(name='position_friction', joint='joint2',
+                                            values=(0.35, 3.0, 0.0)))
     likelihood = Likelihood([driven_motion(hidden, gains, seed=1, duration=6.0)],
                             widened(robot, 100.0))
     likelihood = likelihood.with_noise(np.full((1, 4), noise))
@@ -126,8 +126,8 @@ def test_a_robot_of_which_all_torques_are_believed_less_explains_nothing(robot, 
 def test_a_saturation_takes_all_that_is_beyond_its_limit(robot, gains):
     """Of a drive that gives half of what is beyond, a saturation would have to be smaller."""
     limit = 0.12
-    saturation = with_effect(robot, EffectSpec(name='actuator_saturation', joint='joint2',
-                                               values=(limit,)))
+    saturation = with_effects(robot, EffectSpec(name='actuator_saturation', joint='joint2',
+                                                values=(limit,)))
     whole, free = (driven_motion(one, gains, seed=1, duration=10.0)
                    for one in (saturation, robot))
     asked = free.samples.command.copy()

@@ -9,7 +9,7 @@ from gms_flex_control.discrepancy.dictionary import allowed
 from gms_flex_control.discrepancy.fitting import is_at_limit, refitted, solve
 from gms_flex_control.effects.base import linear
 from gms_flex_control.effects.registry import bounds_of
-from gms_flex_control.params.robot import EffectSpec, with_effect
+from gms_flex_control.params.robot import EffectSpec, with_effects
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
@@ -50,7 +50,7 @@ def test_a_payload_and_the_inertias_it_resembles_do_not_pull_against_each_other(
     case = make_case('single', 27, effect='tip_payload', duration=20.0)
     likelihood, (true,), ends = likelihood_of(case), case.truth.effects, []
     for factor in (1.0 / 3.0, 2.0):
-        model = likelihood.fitted(with_effect(case.nominal, replace(
+        model = likelihood.fitted(with_effects(case.nominal, replace(
             true, values=(factor * true.values[0],))), np.zeros(len(likelihood.sd)))
         for _ in range(3):
             model, _ = refitted(likelihood, model.robot, model.x, likelihood.columns(model))
@@ -67,7 +67,7 @@ def test_friction_by_load_turns_over_the_reach_that_is_there(factor):
     case = make_case('single', 1, population='encoders_fine', effect='load_friction',
                      duration=20.0)
     likelihood, (true,) = likelihood_of(case), case.truth.effects
-    model = likelihood.fitted(with_effect(case.nominal, replace(
+    model = likelihood.fitted(with_effects(case.nominal, replace(
         true, values=(0.8 * true.values[0], factor * true.values[1]))),
         np.zeros(len(likelihood.sd)))
     for _ in range(2):

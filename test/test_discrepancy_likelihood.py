@@ -10,7 +10,7 @@ from gms_flex_control.discrepancy.fitting import fit, normal_equations
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.null_simulation import is_followed, null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.params.robot import EffectSpec, with_effect
+from gms_flex_control.params.robot import EffectSpec, with_effects
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -121,7 +121,7 @@ def test_the_same_robot_costs_the_same_however_it_is_said(robot, coarse, name, n
     spec = EffectSpec(name=name, joint=robot.joints[likelihood.nuisances[index].joint],
                       values=(ratio,))
     likelihood.encoder_noise.learn(likelihood, replace(spec, values=(0.1,)), [(0, (0.1,))])
-    same = with_effect(robot, spec)
+    same = with_effects(robot, spec)
     x[index] = 1.0 / (1.0 + ratio) - 1.0
     other = likelihood.fitted(same, x)
     np.testing.assert_allclose(other.rows, plain.rows, atol=1e-6)
@@ -136,7 +136,7 @@ def test_noise_is_foreseen_of_a_robot_without_what_null_simulations_have(robot, 
     """A ratio of a ratio is no sum: an effect that is there is moved, not put in twice."""
     spec = EffectSpec(name='link_inertia_error', joint=robot.joints[0], values=(0.4,))
     x = np.zeros(len(coarse.nuisances))
-    heavy = coarse.simulated_as(coarse.fitted(with_effect(robot, spec), x))
+    heavy = coarse.simulated_as(coarse.fitted(with_effects(robot, spec), x))
     heavy.encoder_noise.learn(heavy, replace(spec, values=(0.1,)), [(0, (0.1,))])
     foreseen, exact = heavy.encoder_noise.along(robot, x), np.subtract(*heavy.of_pair(robot, x))
     assert np.std(foreseen - exact) < 0.01 * np.std(exact - heavy.encoder_noise.own)
@@ -146,13 +146,13 @@ def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, coar
     """Three numbers determine what both links weigh, whatever payload and beliefs add up to."""
     likelihood, spec = coarse, EffectSpec(name='tip_payload', joint='arm', values=(0.1,))
     likelihood.encoder_noise.learn(likelihood, spec, [(0, (0.1,))])
-    heavy = with_effect(robot, replace(spec, values=(0.3,)))
+    heavy = with_effects(robot, replace(spec, values=(0.3,)))
     bodies, carried = (plant.constants_of(one).chain.coupling for one in (robot, heavy))
     added = carried / bodies - 1.0
     x = np.array([{('inertia', 0): added[0, 0], ('inertia', 1): added[1, 1],
                    ('inertia', -1): added[0, 1]}.get((one.name, one.joint), 0.0)
                   for one in likelihood.nuisances])
-    half = likelihood.fitted(with_effect(robot, replace(spec, values=(0.15,))), 0.5 * x)
+    half = likelihood.fitted(with_effects(robot, replace(spec, values=(0.15,))), 0.5 * x)
     for model in (likelihood.fitted(robot, x), likelihood.fitted(heavy, 0.0 * x)):
         np.testing.assert_allclose(model.rows, half.rows, atol=1e-6)
         np.testing.assert_allclose(model.sums.groups, half.sums.groups, rtol=1e-6)
@@ -162,11 +162,11 @@ def test_a_fit_ends_with_what_encoder_noise_truly_adds(robot, gains):
     """Blocks that give way are not linear in how soft they are; the cost is that of evidence."""
     coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
     soft = EffectSpec(name='presliding_error', joint=robot.joints[1], values=(-0.5, 0.0))
-    likelihood = Likelihood([driven_motion(with_effect(coarse, soft), gains)], robot)
+    likelihood = Likelihood([driven_motion(with_effects(coarse, soft), gains)], robot)
     probe = (-0.1, 0.0)
     likelihood.encoder_noise.learn(likelihood, replace(soft, values=probe), [(0, probe)])
     x = np.zeros(len(likelihood.nuisances))
-    begin = likelihood.fitted(with_effect(robot, replace(soft, values=(-0.7, 0.0))), x)
+    begin = likelihood.fitted(with_effects(robot, replace(soft, values=(-0.7, 0.0))), x)
     columns = likelihood.columns(likelihood.fitted(robot, x))
     found = fit(likelihood, begin.robot, x, columns)
     exact = likelihood.exact(begin)
@@ -174,7 +174,7 @@ def test_a_fit_ends_with_what_encoder_noise_truly_adds(robot, gains):
     assert found.cost == likelihood.exact(found).cost < exact.cost
     ratio, tilt = found.robot.effects[0].values
     near = replace(soft, values=(ratio + 1e-6, tilt))
-    other = likelihood.fitted(with_effect(robot, near), found.x)
+    other = likelihood.fitted(with_effects(robot, near), found.x)
     assert other.cost == pytest.approx(found.cost, abs=1.0)
 
 
@@ -193,6 +193,6 @@ def test_what_sticks_is_measured_by_the_noise_of_what_sticks():
 def test_a_simulation_that_goes_its_own_way_is_no_null_simulation(likelihood, robot):
     """A drive that lags far behind the hold on the motion swings about it, ever wider."""
     zero = np.zeros(len(likelihood.nuisances))
-    late = with_effect(robot, EffectSpec(name='actuator_lag', joint='joint1', values=(0.05,)))
+    late = with_effects(robot, EffectSpec(name='actuator_lag', joint='joint1', values=(0.05,)))
     assert is_followed(likelihood, as_believed(likelihood))
     assert not is_followed(likelihood, likelihood.fitted(late, zero))

@@ -6,8 +6,7 @@ from dataclasses import replace
 from bench.hidden_robots.plants import draw_belief, draw_robot
 from core_runs import single_axis
 from discrepancy_runs import FRICTIONLESS
-from gms_flex_control.data.even_samples import mean_held
-from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.recording import mean_held, Recording
 from gms_flex_control.discrepancy.motion import make_motion, standing
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND

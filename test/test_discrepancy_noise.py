@@ -12,7 +12,7 @@ from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
 from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
-from gms_flex_control.params.robot import EffectSpec, with_effect
+from gms_flex_control.params.robot import EffectSpec, with_effects
 import numpy as np
 import pytest
 
@@ -90,7 +90,7 @@ def test_what_coarse_encoders_misread_is_no_function_of_rate_or_torsion():
 
 def test_a_function_of_torsion_is_a_springs_which_acts_on_link_and_motor(robot, gains):
     """So it shows another stiffness, which a function in either equation alone does not."""
-    stiff = with_effect(robot, EffectSpec(name='stiffness_error', joint='joint2', values=(0.3,)))
+    stiff = with_effects(robot, EffectSpec(name='stiffness_error', joint='joint2', values=(0.3,)))
     likelihood = Likelihood([driven_motion(stiff, gains, seed=1, duration=12.0)], robot)
     believed, columns = retuned_of(likelihood)
     best = FreeFunctions(likelihood).ranked(believed, columns)[0]

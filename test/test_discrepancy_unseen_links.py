@@ -13,7 +13,7 @@ from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import find
 from gms_flex_control.identification.unseen_links import with_links
-from gms_flex_control.params.robot import EffectSpec, with_effect
+from gms_flex_control.params.robot import EffectSpec, with_effects
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -61,8 +61,8 @@ def test_an_effect_of_no_size_changes_nothing(effect):
     values = [parameter.upper if np.isfinite(parameter.upper) else 1.0
               for parameter in find(effect).parameters]
     values[0] = 1e-13
-    other = with_effect(case.nominal, EffectSpec(name=effect, joint='joint1',
-                                                 values=tuple(values)))
+    other = with_effects(case.nominal, EffectSpec(name=effect, joint='joint1',
+                                                  values=tuple(values)))
     rows = [unexplained(motion, plant.constants_of(robot)) for robot in (case.nominal, other)]
     assert np.std(rows[1] - rows[0]) < 1e-6 * np.std(rows[0])
 

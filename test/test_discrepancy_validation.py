@@ -27,7 +27,7 @@ from gms_flex_control.discrepancy.validation import (
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.params.arm import at_last_link, Body, carrying
-from gms_flex_control.params.robot import EffectSpec, with_effect
+from gms_flex_control.params.robot import EffectSpec, with_effects
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def test_noise_of_encoders_costs_a_model_no_held_out_likelihood():
 def gain_with(likelihood, spec):
     """Return the Gain of an effect, fitted from a size, over the model without it."""
     without, own = retuned_of(likelihood, PLAUSIBLE)
-    other = fit(likelihood, with_effect(likelihood.robot, spec), without.x, own,
+    other = fit(likelihood, with_effects(likelihood.robot, spec), without.x, own,
                 plausible=PLAUSIBLE)
     return gain_of(likelihood, (other, extended(likelihood, other, own, 0)), (without, own),
                    other.rows - without.rows)
@@ -85,7 +85,7 @@ def test_prediction_one_sample_ahead_is_no_better_with_less_torque_of_everything
                                        'viscous')) for one in likelihood.nuisances])
     less = robot
     for joint in robot.joints:
-        less = with_effect(less, EffectSpec(name='torque_gain', joint=joint, values=(-0.3,)))
+        less = with_effects(less, EffectSpec(name='torque_gain', joint=joint, values=(-0.3,)))
     own, other = prediction_cost(likelihood, [(robot, 0.0 * x), (less, x)])
     assert own < other
 

@@ -6,8 +6,8 @@ import re
 
 import core_runs
 from core_runs import push_plant
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import registry, table
-from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Change, Stage, Term
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.robot import EffectSpec

@@ -67,7 +67,7 @@ def test_sizes_an_effect_is_looked_for_with_follow_the_machine(name):
 MODULE = """
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.base import linear
-from gms_flex_control.effects.signals import DQ_LINK, FRICTION
+from gms_flex_control.effects.base import DQ_LINK, FRICTION
 
 
 class CableDrag(Term):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from core_runs import single_axis
 from gms_flex_control import friction as gms
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.effects.catalogue.reading import torque_at_angles

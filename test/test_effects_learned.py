@@ -13,8 +13,8 @@ from gms_flex_control.discrepancy.learned_words import described, formula_of
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import learned, registry, table
-from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.robot import EffectSpec

@@ -12,7 +12,7 @@ from gms_flex_control import load_robot, read_plan, records, save_robot
 from gms_flex_control.cli.main import main
 from gms_flex_control.discrepancy.nuisance import nuisances_of, tuned, with_nuisances
 from gms_flex_control.dynamics import chain
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.table import with_changes
 from gms_flex_control.errors import ConfigError, ParameterError, TrajectoryError
 from gms_flex_control.file_io import robot_file

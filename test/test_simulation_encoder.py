@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Encoders: counts, noise, and the low-passed velocity."""
 
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.simulation import encoder
 import numpy as np

@@ -17,7 +17,7 @@ from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.search import count_of
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.params.robot import with_effect
+from gms_flex_control.params.robot import with_effects
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -105,7 +105,7 @@ def gain_of_truth(result, effect):
     likelihood = result.behind.likelihood
     try:
         nothing, own = retuned(likelihood, likelihood.robot, result.behind.before.x)
-        begin = with_effect(likelihood.robot, effect)
+        begin = with_effects(likelihood.robot, effect)
         with_it, without_it = (
             state_of(likelihood, *state, count_of(likelihood, ()))
             for state in (refitted(likelihood, begin, nothing.x, own), (nothing, own)))

@@ -14,7 +14,7 @@ from functools import cache
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import observer
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Change, Stage
 from gms_flex_control.effects.registry import find

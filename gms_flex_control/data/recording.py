@@ -1,5 +1,5 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
-"""One experiment as plain arrays, which topics hold it, and its phases."""
+"""One experiment as plain arrays, also at even times; its phases, and which topics hold it."""
 
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -173,6 +173,53 @@ def held(values: np.ndarray) -> np.ndarray:
     rows = np.where(np.isfinite(values), np.arange(len(values))[:, None], -1)
     rows = np.maximum.accumulate(rows, axis=0)
     return np.where(rows >= 0, np.take_along_axis(values, np.maximum(rows, 0), axis=0), 0.0)
+
+
+def means_held(values: np.ndarray, ends: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return means (T, ...) between ``edges`` (T + 1,) of ``values`` held from ``ends`` on [s]."""
+    held = (np.asarray(values).T * np.diff(ends)).T
+    impulse = np.concatenate([np.zeros((1, *held.shape[1:])), np.cumsum(held, axis=0)])
+    impulse = np.apply_along_axis(lambda one: np.interp(edges, ends, one), 0, impulse)
+    return (np.diff(impulse, axis=0).T / np.diff(edges)).T
+
+
+def even_time(recording: Recording) -> tuple[np.ndarray, float]:
+    """Return evenly spaced times (T,) over a recording, and their period [s]."""
+    time, period = recording.time, recording.period
+    steps = np.diff(time)
+    if np.abs(steps - period).max() < 1e-3 * period:
+        return time, float((time[-1] - time[0]) / (len(time) - 1))
+    count = int((time[-1] - time[0]) / period * (1.0 + 1e-9)) + 1
+    return time[0] + period * np.arange(count), period
+
+
+def resampled(recording: Recording, values: np.ndarray, time: np.ndarray,
+              what: str) -> np.ndarray:
+    """Return values at even times; raise BagError where most are missing."""
+    known = np.isfinite(values)
+    if known.mean() < 0.5:
+        raise BagError(f'{recording.source}: the {what} is missing; the equations of motion '
+                       'need it')
+    if time is recording.time and known.all():
+        return values
+    return np.interp(time, recording.time[known], values[known])
+
+
+def held_torque(recording: Recording, time: np.ndarray, period: float) -> np.ndarray:
+    """Return the torque held from even times on (T, n) [N m]: commands, or efforts reported."""
+    if not recording.has_commands and np.isfinite(recording.tau_motor).mean() <= COVERED:
+        raise BagError(f'{recording.source}: neither torque commands nor joint efforts cover the '
+                       'recording; record /effort_controller/commands or the effort of '
+                       '/joint_states too')
+    torque = recording.commanded()
+    return torque if time is recording.time else mean_held(torque, recording.time, time, period)
+
+
+def mean_held(torque: np.ndarray, since: np.ndarray, time: np.ndarray,
+              period: float) -> np.ndarray:
+    """Return the mean from each of even times (T,) on of torques (K, n) held ``since`` (K,)."""
+    until = np.append(since, max(since[-1], time[-1]) + 2.0 * period)
+    return means_held(torque, until, np.append(time, time[-1] + period))
 
 
 MOTOR_SUFFIX = '_motor'

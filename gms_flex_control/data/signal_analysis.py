@@ -220,12 +220,23 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else np.nan
 
 
-def means_held(values: np.ndarray, ends: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return means (T, ...) between ``edges`` (T + 1,) of ``values`` held from ``ends`` on [s]."""
-    held = (np.asarray(values).T * np.diff(ends)).T
-    impulse = np.concatenate([np.zeros((1, *held.shape[1:])), np.cumsum(held, axis=0)])
-    impulse = np.apply_along_axis(lambda one: np.interp(edges, ends, one), 0, impulse)
-    return (np.diff(impulse, axis=0).T / np.diff(edges)).T
+def second_difference(angle: np.ndarray, period: float) -> np.ndarray:
+    """Return the central second difference of angles (T, ...), zero at both ends."""
+    out = np.zeros_like(angle)
+    out[1:-1] = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / period ** 2
+    return out
+
+
+def held_triangle(torque: np.ndarray) -> np.ndarray:
+    """
+    Return torques (T, n) held from sample k to k + 1 as a second difference sees them.
+
+    Under a force held over each sample, ``q[k+1] - 2 q[k] + q[k-1]`` is exactly the mean of both
+    samples' accelerations times the squared period.
+    """
+    out = torque.copy()
+    out[1:] = 0.5 * (torque[1:] + torque[:-1])
+    return out
 
 
 def means_to_next(values: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ from gms_flex_control.experiment.simulated import Plan, run_plan, to_recording
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import Body, carrying, together
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import EffectSpec, RobotParams, with_effect
+from gms_flex_control.params.robot import EffectSpec, RobotParams, with_effects
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
@@ -168,7 +168,7 @@ def _fitted(likelihood, base, nuisances, dictionary, effects):
     while left:
         spec = _begun(likelihood, dictionary, model, columns, left)
         # where known parameters stand for the effect it begins beside them, from nearly nothing
-        model = min((fitting.fit(likelihood, with_effect(model.robot, one), model.x, columns)
+        model = min((fitting.fit(likelihood, with_effects(model.robot, one), model.x, columns)
                      for one in (spec, replace(spec, values=(
                          _HARDLY * spec.values[0], *spec.values[1:])))), key=lambda one: one.cost)
         columns = fitting.extended(likelihood, model, nuisances)

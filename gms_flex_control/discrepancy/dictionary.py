@@ -13,7 +13,7 @@ from gms_flex_control.discrepancy.evidence import NormalEquations
 from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
 from gms_flex_control.effects.base import Guess, HIGHEST_ORDER, Stage, Term
 from gms_flex_control.effects.registry import find, names
-from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM, with_effect
+from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM, with_effects
 import numpy as np
 
 _AT_BOUND = 0.99      # of what is plausible of a nuisance parameter: it can give no more
@@ -114,7 +114,7 @@ class Dictionary:
         self.columns = np.empty((len(self._specs), len(model.rows)), dtype=np.float32)
 
         def fill(k):
-            self.columns[k] = likelihood.change(model, with_effect(
+            self.columns[k] = likelihood.change(model, with_effects(
                 model.robot, self._specs[k]), model.x)
         list(likelihood.pool.map(fill, range(len(self._specs))))
         self._clear_noise(likelihood.learn_noise(self.guesses))

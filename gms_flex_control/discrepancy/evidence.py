@@ -14,7 +14,7 @@ from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, OTHER_SIZE
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.registry import find
 from gms_flex_control.simulation import plant
 import numpy as np

@@ -22,7 +22,7 @@ from gms_flex_control.discrepancy.validation import Gain, gain_over, memory_of
 from gms_flex_control.effects.catalogue.drive import TorqueRipple
 from gms_flex_control.effects.registry import find
 from gms_flex_control.identification.prediction_error import FEWEST_WAVES
-from gms_flex_control.params.robot import EffectSpec, with_effect
+from gms_flex_control.params.robot import EffectSpec, with_effects
 import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import minimum_filter1d
@@ -74,7 +74,7 @@ def with_ripples(likelihood, other, ripples, states, gap) -> tuple[State, Gap]:
             (own.after / likelihood.coulomb, gap.after / likelihood.coulomb),
             (own.free_after, gap.free_after))):
         return after, gap
-    robot = replace(after.model.robot, effects=(*after.model.robot.effects, *further))
+    robot = with_effects(after.model.robot, *further)
     return (after._replace(model=likelihood.fitted(robot, after.model.x)),
             replace(gap, after=own.after, rest_after=own.rest_after, free_after=own.free_after))
 
@@ -106,7 +106,7 @@ def _of_joint(motions, left, j, likelihood, robot):
             return found
         orders.append(order)
         found.append(ripple)
-        robot = with_effect(robot, ripple.spec)
+        robot = with_effects(robot, ripple.spec)
 
 
 class _Equation:

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The gap between model and measurement on data held out: residual torque and free runs."""
 
-from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,8 +21,9 @@ from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.thresholds import INERTIAL
 from gms_flex_control.discrepancy.torque_noise import drawn_noise
 from gms_flex_control.discrepancy.validation import FOLDS, steps
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.errors import SimulationError
+from gms_flex_control.params.robot import with_effects
 from gms_flex_control.simulation import plant
 from gms_flex_control.simulation.predictor import copy_state
 import numpy as np
@@ -120,7 +120,7 @@ class HeldOut:
 
     def _parts(self, state):
         """Return what predicts which held-out moments: a State as it is, or refitted in folds."""
-        return [(replace(robot, effects=(*robot.effects, *self._further)), x, masks)
+        return [(with_effects(robot, *self._further), x, masks)
                 for robot, x, masks in self._fitted_parts(state)]
 
     def _fitted_parts(self, state):

@@ -23,7 +23,7 @@ from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, PLAUSIBLE
 from gms_flex_control.discrepancy.validation import gain_of
 from gms_flex_control.discrepancy.worth import plausible_limit
 from gms_flex_control.effects import learned as shapes
-from gms_flex_control.params.robot import EffectSpec, with_effect
+from gms_flex_control.params.robot import EffectSpec, with_effects
 import numpy as np
 
 MOST_TERMS = 3        # that are learned of one robot
@@ -222,12 +222,12 @@ class _Learning:
         kind = shapes.LEARNED[spec.name]
         count = kind.count
         size = _PROBE * kind.typical(likelihood.scales_of(spec.joint))[0]
-        zero = with_effect(base.robot, spec)
+        zero = with_effects(base.robot, spec)
         model = likelihood.fitted(zero, base.x)
 
         def column(k):
             values = (*(size * (i == k) for i in range(count)), *spec.values[count:])
-            probe = with_effect(base.robot, replace(spec, values=values))
+            probe = with_effects(base.robot, replace(spec, values=values))
             return likelihood.change(model, probe, base.x) / size
         own = np.zeros((count, len(model.rows)))
         own[:_used(spec)] = likelihood.each(column, range(_used(spec)))

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any, Self
 
 from gms_flex_control import records
-from gms_flex_control.data.even_samples import held_triangle, second_difference
+from gms_flex_control.data.signal_analysis import held_triangle, second_difference
 from gms_flex_control.discrepancy import samples as sampling
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects.base import Scales, Travel

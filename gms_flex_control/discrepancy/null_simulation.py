@@ -26,7 +26,7 @@ from gms_flex_control.discrepancy.samples import encoder_step
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE
 from gms_flex_control.discrepancy.whitening import Grams
 from gms_flex_control.dynamics import chain
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.registry import bounds_of
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant

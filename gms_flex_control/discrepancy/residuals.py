@@ -13,12 +13,11 @@ from functools import cache, partial
 from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
-from gms_flex_control.data.even_samples import second_difference
-from gms_flex_control.data.signal_analysis import derivatives, low_pass
+from gms_flex_control.data.signal_analysis import derivatives, low_pass, second_difference
 from gms_flex_control.discrepancy.motion import filtered_alike, weight_of_neighbours
 from gms_flex_control.discrepancy.samples import smoothing
 from gms_flex_control.dynamics import chain
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage, Term
 from gms_flex_control.effects.registry import find, names

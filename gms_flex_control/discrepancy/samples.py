@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from gms_flex_control.data import signal_analysis as analysis
-from gms_flex_control.data.even_samples import even_time, held_torque, resampled
-from gms_flex_control.data.recording import held
+from gms_flex_control.data.recording import even_time, held, held_torque, resampled
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification import sampling_checks
 from gms_flex_control.identification.check_basis import absent_joints

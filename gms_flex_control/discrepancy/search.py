@@ -13,7 +13,7 @@ from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of
 from gms_flex_control.discrepancy.evidence import is_of_other_size, State, state_of
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PLAUSIBLE
-from gms_flex_control.params.robot import with_effect
+from gms_flex_control.params.robot import with_effects
 import numpy as np
 
 _BEAM = 2             # sets that are followed, while there are few effects
@@ -186,7 +186,7 @@ class _Search:
 
     def _with(self, spec, model, columns):
         """Return the State of a model with one effect more, None if it ends at a limit."""
-        model = fitting.fit(self._likelihood, with_effect(model.robot, spec), model.x, columns)
+        model = fitting.fit(self._likelihood, with_effects(model.robot, spec), model.x, columns)
         return None if self._is_at_limit(model) else self._tried(model, fitting.extended(
             self._likelihood, model, columns, len(model.robot.effects) - 1))
 

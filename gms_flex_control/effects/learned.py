@@ -12,7 +12,7 @@ All are linear in their weights; where weights must not be negative, a term cann
 """
 
 from gms_flex_control.compiled import compiled
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.base import Parameter, Stage, Term
 import numpy as np
 

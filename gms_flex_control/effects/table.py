@@ -9,9 +9,8 @@ from dataclasses import replace
 
 from gms_flex_control import records
 from gms_flex_control.compiled import call_effect, compiled
-from gms_flex_control.effects.base import Change, Effect, Stage
+from gms_flex_control.effects.base import Change, Effect, Stage, WIDTH
 from gms_flex_control.effects.registry import find
-from gms_flex_control.effects.signals import WIDTH
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.records import FLOAT

@@ -22,7 +22,7 @@ from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.outcome import CONFIDENT, estimated, WIDE
 from gms_flex_control.identification.segments import filled, friction_by_load, Segment
 from gms_flex_control.params.arm import ArmParams, STANDARD_GRAVITY
-from gms_flex_control.params.robot import EffectSpec, RobotParams
+from gms_flex_control.params.robot import EffectSpec, RobotParams, with_effects
 import numpy as np
 
 CONSTANT = ConstantLinkTorque.name
@@ -116,7 +116,7 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
         numbers = np.flatnonzero([True, axis.has_gravity, axis.has_gravity, axis.constant != 0.0])
         joints.append(JointArm(motors[j], axis, ripple, numbers, np.maximum(
             _ERRORS * axis.error, _PART * np.abs(size))[numbers]))
-    return ArmFit(replace(robot, arm=arm, effects=(*robot.effects, *effects)), tuple(joints))
+    return ArmFit(with_effects(replace(robot, arm=arm), *effects), tuple(joints))
 
 
 def _of_chain(recordings, robot, motors):

@@ -16,7 +16,7 @@ from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import derivatives, means_to_next, odd_window
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.effects.catalogue.friction_shape import LoadFriction
@@ -32,6 +32,7 @@ from gms_flex_control.params.robot import (
     RobotParams,
     StribeckParams,
     WHOLE_ARM,
+    with_effects,
 )
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -64,7 +65,7 @@ def with_load_friction(robot: RobotParams, per_load: np.ndarray,
     level = 0.5 * (friction.forward.static + friction.backward.static)[:, None] * friction.weight
     slips = np.divide(level, friction.stiffness, out=np.full_like(level, np.inf),
                       where=friction.stiffness > 0.0).min(axis=1)
-    return replace(robot, effects=robot.effects + tuple(
+    return with_effects(robot, *(
         EffectSpec(name=LoadFriction.name, joint=joint, values=(float(ratio), float(reach)))
         for joint, ratio, reach in zip(robot.joints, per_load, np.maximum(slips, 2.0 * step),
                                        strict=True) if ratio))

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import means_held, rms
+from gms_flex_control.data.recording import means_held, Recording
+from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.identification.arm_fit import two_sided
 from gms_flex_control.identification.arm_regression import ArmRegression, driven_arm
 from gms_flex_control.identification.assumed_robot import only_joints

@@ -7,7 +7,7 @@ from itertools import zip_longest
 import warnings
 
 from gms_flex_control.data import signal_analysis as analysis
-from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.recording import means_held, Recording
 from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.effects.table import of_stages
@@ -282,7 +282,7 @@ def _motor(recording, j, grid, time, rows):
     """Return the torque held over each period; a state reports that of the period before it."""
     torque = recording.tau_motor[rows, j]
     known = np.isfinite(torque) | (np.arange(len(torque)) == 0)
-    mean = analysis.means_held(torque[known][1:], time[known], grid)
+    mean = means_held(torque[known][1:], time[known], grid)
     return np.append(mean, mean[-1])
 
 

@@ -9,9 +9,8 @@ ddq_motor) / K``. One equation per joint remains, that of link and motor togethe
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.data import even_samples
 from gms_flex_control.data import signal_analysis as analysis
-from gms_flex_control.data.recording import COVERED, Recording
+from gms_flex_control.data.recording import COVERED, even_time, held_torque, Recording, resampled
 from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.identification.check_basis import absent_joints
 from gms_flex_control.identification.sampling_checks import clock
@@ -32,9 +31,9 @@ class UnseenLink(NamedTuple):
     window: int       # of the low-pass its angle is seen through, samples
 
     def angle(self, motor: np.ndarray, torque: np.ndarray, period: float) -> np.ndarray:
-        """Return its angle (T,) [rad] by the motor's (T,) and the torque held at it (T,) [N m]."""
-        spring = even_samples.held_triangle(torque) - self.inertia * (
-            even_samples.second_difference(motor, period))
+        """Return where the link is (T,) [rad], of motor angles and held torques (T,) [N m]."""
+        spring = analysis.held_triangle(torque) - self.inertia * (
+            analysis.second_difference(motor, period))
         return analysis.low_pass(motor - spring / self.stiffness, self.window)
 
 
@@ -68,11 +67,11 @@ def with_links(recording: Recording, robot: RobotParams) -> Recording:
     unseen = unseen_links(recording, robot)
     if not unseen:
         return recording
-    time, period = even_samples.even_time(recording)
-    torque, q_link = even_samples.held_torque(recording, time, period), recording.q_link.copy()
+    time, period = even_time(recording)
+    torque, q_link = held_torque(recording, time, period), recording.q_link.copy()
     for link in unseen:
-        motor = even_samples.resampled(recording, recording.q_motor[:, link.joint], time,
-                                       f'motor angle of {robot.joints[link.joint]!r}')
+        motor = resampled(recording, recording.q_motor[:, link.joint], time,
+                          f'motor angle of {robot.joints[link.joint]!r}')
         q_link[:, link.joint] = np.interp(
             recording.time, time, link.angle(motor, torque[:, link.joint], period))
     return replace(recording, q_link=q_link)

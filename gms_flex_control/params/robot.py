@@ -229,6 +229,6 @@ def widened(robot: RobotParams, times: float) -> RobotParams:
         for kind in UNCERTAIN for joint in (*robot.joints, WHOLE_ARM)})
 
 
-def with_effect(robot: RobotParams, spec: EffectSpec) -> RobotParams:
-    """Return a robot with one more effect."""
-    return replace(robot, effects=(*robot.effects, spec))
+def with_effects(robot: RobotParams, *specs: EffectSpec) -> RobotParams:
+    """Return a robot with further effects."""
+    return replace(robot, effects=(*robot.effects, *specs))

@@ -12,7 +12,7 @@ from gms_flex_control.discrepancy.gap import HORIZON
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.arm import in_currents, in_units
-from gms_flex_control.params.robot import with_effect
+from gms_flex_control.params.robot import with_effects
 from gms_flex_control.reports.answers import COLUMNS, discrepancy_answer, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_values import comparison_rows
 from gms_flex_control.reports.figure_style import file_stem, save_figure
@@ -93,7 +93,7 @@ def _evidence_of(along, result, finding):
         return views.evidence_of(along, behind.after, finding)
     model = behind.written
     if finding in result.not_added:
-        model = replace(model, robot=with_effect(model.robot, finding.spec))
+        model = replace(model, robot=with_effects(model.robot, finding.spec))
     return views.evidence_of(views.AlongUnfiltered(behind.likelihood), model, finding)
 
 

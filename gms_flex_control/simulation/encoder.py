@@ -6,7 +6,7 @@ from functools import cache, lru_cache
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.control.cascade import measured_layout
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.records import FLOAT
 import numpy as np
 

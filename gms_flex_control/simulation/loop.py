@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade, feedforward
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.records import boxed, views
 from gms_flex_control.simulation import encoder, plant
 import numpy as np

@@ -13,7 +13,7 @@ from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled, compiled_part
 from gms_flex_control.dynamics import chain
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.records import FLOAT

@@ -7,12 +7,11 @@ of one group in `GROUPS` together.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 import math
 from typing import NamedTuple
 
 from gms_flex_control.effects.catalogue.drive import InputDelay
-from gms_flex_control.params.robot import EffectSpec, RobotParams
+from gms_flex_control.params.robot import EffectSpec, RobotParams, with_effects
 from gms_flex_control.schema.build import robot_from_values, robot_values
 from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
@@ -55,9 +54,8 @@ def with_delay(robot, delay) -> RobotParams:
     """Return a robot whose motors get every torque later by ``delay`` [s]."""
     if delay <= 0.0:
         return robot
-    late = tuple(EffectSpec(name=InputDelay.name, joint=joint, values=(float(delay),))
-                 for joint in robot.joints)
-    return replace(robot, effects=(*robot.effects, *late))
+    return with_effects(robot, *(EffectSpec(
+        name=InputDelay.name, joint=joint, values=(float(delay),)) for joint in robot.joints))
 
 
 def try_motions(robot, model, gains, timing, amplitude, seed=0) -> Iterator:

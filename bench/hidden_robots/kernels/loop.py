@@ -12,7 +12,7 @@ from functools import cache
 from bench.hidden_robots.kernels import compiled, friction, mechanics, outside, pid
 from gms_flex_control import records
 from gms_flex_control.control import cascade
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.records import FLAG, FLOAT

@@ -4,7 +4,7 @@
 from dataclasses import replace
 import math
 
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.base import (
     Change,
     Guess,

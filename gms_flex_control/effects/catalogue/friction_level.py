@@ -5,14 +5,16 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import (
     Change,
+    DQ_LINK,
+    FRICTION,
     Guess,
     LEAST_RELATIVE,
     linear,
     Parameter,
     Stage,
     Term,
+    TIME,
 )
-from gms_flex_control.effects.signals import DQ_LINK, FRICTION, TIME
 from gms_flex_control.params.robot import RobotParams, StribeckParams
 import numpy as np
 

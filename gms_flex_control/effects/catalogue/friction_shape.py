@@ -4,17 +4,21 @@
 import math
 
 from gms_flex_control.effects.base import (
+    DQ_LINK,
+    FRICTION,
     Guess,
     LEAST_RELATIVE,
     linear,
+    LINK_TORQUE,
     orders,
     Parameter,
+    Q_LINK,
     shapes,
+    SPRING,
     Stage,
     Term,
     waves,
 )
-from gms_flex_control.effects.signals import DQ_LINK, FRICTION, LINK_TORQUE, Q_LINK, SPRING
 from gms_flex_control.params.key import SMALLEST
 import numpy as np
 

@@ -3,8 +3,17 @@
 
 from dataclasses import replace
 
-from gms_flex_control.effects.base import Change, Guess, linear, Parameter, Stage, Term, wave
-from gms_flex_control.effects.signals import LINK_TORQUE, Q_LINK
+from gms_flex_control.effects.base import (
+    Change,
+    Guess,
+    linear,
+    LINK_TORQUE,
+    Parameter,
+    Q_LINK,
+    Stage,
+    Term,
+    wave,
+)
 from gms_flex_control.params.arm import Body, carrying, STANDARD_GRAVITY
 from gms_flex_control.params.robot import RobotParams
 import numpy as np

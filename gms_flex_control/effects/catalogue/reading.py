@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Effects on what is read: encoders, the stamps of a recording, a base that moves with them."""
 
-from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.base import Guess, linear, Parameter, Stage, Term, wave
 import numpy as np
 

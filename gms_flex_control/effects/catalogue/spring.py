@@ -7,13 +7,17 @@ from gms_flex_control.effects.base import (
     Change,
     linear,
     Parameter,
+    Q_MOTOR,
     shapes,
     sizes,
+    SPRING,
     Stage,
     Term,
+    TIME,
+    TORSION,
+    TORSION_RATE,
     wave,
 )
-from gms_flex_control.effects.signals import Q_MOTOR, SPRING, TIME, TORSION, TORSION_RATE
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
