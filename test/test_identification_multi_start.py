@@ -58,15 +58,19 @@ def test_multi_start_finds_the_minimum_that_a_single_fit_misses(seed):
 
 
 class Flat(Rippled):
-    """A stand-in that hardly feels Stribeck velocities far from the truth."""
+    """A stand-in that hardly feels some numbers far from the truth: as a rule the velocities."""
+
+    def __init__(self, numbers=VELOCITIES):
+        self._numbers = numbers
 
     def evaluate(self, coordinates, free, sharpness, floor=None, *, derivatives=True):
-        """Return the Evaluation of free numbers, both velocities behind a flat function."""
-        felt = free.copy()
-        felt[VELOCITIES] = np.tanh(free[VELOCITIES])
+        """Return the Evaluation of free numbers, some behind a flat function."""
+        felt, numbers = free.copy(), self._numbers
+        off = np.tanh(free[numbers] - TRUTH[numbers])
+        felt[numbers] = TRUTH[numbers] + off
         one = super().evaluate(coordinates, felt, sharpness, floor)
         slope = np.ones(len(free))
-        slope[VELOCITIES] = 1.0 - felt[VELOCITIES] ** 2
+        slope[numbers] = 1.0 - off ** 2
         return replace(one, gradient=one.gradient * slope,
                        curvature=one.curvature * slope ** 2)
 
@@ -80,6 +84,19 @@ def test_stribeck_curves_that_are_lost_begin_as_the_other_way_s_or_as_narrow_one
     found = multi_start(Flat(), COORDINATES, (start,), PRIOR, COUNT, np.random.default_rng(0), 8)
     assert stuck[lost] == pytest.approx(8.0, abs=1.0)
     assert found.ends[0][lost] == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(('block', 'factor'), [(0, -8.0), (1, 8.0)])
+def test_a_block_that_is_lost_begins_beside_the_others(block, factor):
+    """Of a yield within a count, or one beyond the motion, nothing leads back."""
+    numbers = [N_STEADY, N_STEADY + 1]
+    start = TRUTH.copy()
+    start[numbers[block]] += factor
+    stuck = refine(Flat(numbers), COORDINATES, start, PRIOR).free
+    found = multi_start(Flat(numbers), COORDINATES, (start,), PRIOR, COUNT,
+                        np.random.default_rng(0), 8)
+    assert np.abs(stuck - TRUTH).max() > 0.5 * abs(factor)
+    assert np.abs(found.ends[0] - TRUTH).max() < 0.1
 
 
 def test_a_start_in_the_best_hollow_gains_nothing():

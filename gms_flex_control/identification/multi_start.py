@@ -70,6 +70,7 @@ _WIDE = 0.3           # of those together, every other time
 _FEW_COUNTS = 1.5
 _LOST = 10.0          # v_s of one direction over the other's: robots are drawn with 1.6 at most
 _NARROW = (0.002, 0.01, 0.05)  # of the top speed: v_s of curves that begin where both are lost
+_LOST_BLOCK = 3.0     # times its neighbour's yield, or less in that ratio
 _GOOD = 1.15          # times the lowest cost: as good an explanation
 
 
@@ -246,7 +247,8 @@ def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence
     distribution is wider for so few: what the roughness leaves open.
     """
     begin = objective.evaluate(coordinates, starts[0], 1.0)
-    ends = [_with_both_curves(objective, coordinates, starts[0], prior)]
+    ends = [_with_blocks_together(objective, coordinates, _with_both_curves(
+        objective, coordinates, starts[0], prior), prior)]
     floor, idle = ends[0].evaluation.floor, 0
     carried = list(starts[1:])
     while len(ends) <= _MOST and (carried or idle < patience):
@@ -295,6 +297,31 @@ def _with_both_curves(objective, coordinates, free, prior):
     best = min(others, key=lambda one: _cost_above(one, floor, prior))
     better = GAIN * _cost_above(best, floor, prior) < _cost_above(end, floor, prior)
     return best if better else end
+
+
+def _with_blocks_together(objective, coordinates, end, prior):
+    """
+    Return the Refined with a block that is lost at either end of the yields beside the others.
+
+    One far stiffer than these breaks away within a count, whatever its yield is, and one far
+    softer hardly slips: the cost is flat there, and steps do not lead back.
+    """
+    for side in (0, -1):
+        while coordinates.n_blocks > 1:
+            yields = np.sort(end.free[coordinates.yields])
+            near = yields[1 if side == 0 else -2]
+            if abs(yields[side] - near) < np.log(_LOST_BLOCK):
+                break
+            begin = end.free.copy()
+            at = coordinates.yields.start + int(
+                (np.argmin if side == 0 else np.argmax)(end.free[coordinates.yields]))
+            begin[at] = near
+            floor = end.evaluation.floor
+            other = refine(objective, coordinates, begin, prior, roughly=True, floor=floor)
+            if _cost_above(other, floor, prior) >= _cost_above(end, floor, prior):
+                break
+            end = other
+    return end
 
 
 def _tried(objective, coordinates, free, prior, floor, steps, limit):
