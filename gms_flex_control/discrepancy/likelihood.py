@@ -31,12 +31,13 @@ from gms_flex_control.discrepancy.null_simulation import (
     EncoderNoise,
     NUISANCE_STEP,
     null_readings,
-    NullRuns,
+    null_runs,
+    with_torque_noise,
 )
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR, UNSEEN
 from gms_flex_control.discrepancy.torque_noise import drawn_noise
-from gms_flex_control.discrepancy.whitening import Band, Groups, WhitenedRecordings, Whitening
+from gms_flex_control.discrepancy.whitening import Groups, WhitenedRecordings, Whitening
 from gms_flex_control.effects.base import Change, Scales
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import EffectSpec
@@ -137,15 +138,7 @@ class Likelihood:
 
     def _simulate(self, robot, x):
         """Make the null simulations of a model, without torque noise, and whiten by them."""
-        simulated = self.null_simulations(robot, x)
-
-        def run(k):
-            made = simulated(np.random.default_rng([self.seed, k]) for _ in self.motions)
-            return made if k < 2 else None, self.unexplained(made, robot, x)
-        runs, clean = zip(*self.pool.map(run, range(_NULL_RUNS)), strict=True)
-        bands = [Band(len(motion.time), motion.period, motion.known) for motion in self.motions]
-        self.null = NullRuns(robot, x, clean, runs[:2], bands, self._by_step(
-            robot, x, runs[:2], bands))
+        self.null = null_runs(self, robot, x, _NULL_RUNS, not self._held_out)
         self._whiten(np.zeros((len(self.motions), 2 * robot.n_joints)))
 
     def null_simulations(self, robot, x) -> Callable:
@@ -159,36 +152,6 @@ class Likelihood:
         return lambda generators: [
             as_recorded(read(rng), motion, other, robot) for read, rng, motion, other in zip(
                 readings, generators, self.motions, acted, strict=True)]
-
-    def _by_step(self, robot, x, pair, bands):
-        """Return the spectra of a pair of null simulations by step of each nuisance parameter."""
-        steps = () if self._held_out else (*(NUISANCE_STEP * np.eye(len(x))), np.zeros(len(x)))
-
-        def stepped(step):
-            return [[band.spectra(residual) for band, residual in zip(
-                bands, self.residuals(run, robot, x + step), strict=True)] for run in pair]
-        return list(self.pool.map(stepped, steps))
-
-    def _with_torque_noise(self, null):
-        """
-        Return NullRuns whose pair has torque noise where links are computed from torques.
-
-        It enters their angles, and so, like noise of encoders, times inertia and stiffness.
-        """
-        computed = [self.robot.joints.index(joint) for joint in self.unseen]
-        size = np.zeros((len(self.motions), self.robot.n_joints))
-        size[:, computed] = self.noise[:, computed]
-        if not size.any():
-            return null
-
-        def noisy(k, m):
-            rng = np.random.default_rng([self.seed, 10, k, m])
-            motion = null.pair[k][m]
-            drawn = size[m] * rng.standard_normal(motion.samples.command.shape)
-            return motion.with_torque(object(), lambda command: command + drawn)
-        pair = [[noisy(k, m) for m in range(len(self.motions))] for k in range(len(null.pair))]
-        return null._replace(pair=pair, by_step=self._by_step(
-            null.robot, null.x, pair, null.bands))
 
     def simulated_as(self, model) -> Self:
         """Return the Likelihood whose null simulations are those of a Fitted, without noise."""
@@ -217,7 +180,7 @@ class Likelihood:
         self.usual, count = clean.mean(axis=0), len(clean)
         self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
         if not self._held_out:
-            misread = self._with_torque_noise(self.null)
+            misread = with_torque_noise(self, self.null)
             self.pair = misread.pair
             self.encoder_noise = EncoderNoise(
                 self, self.null.robot, self.null.x,

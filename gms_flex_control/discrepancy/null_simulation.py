@@ -24,7 +24,7 @@ from gms_flex_control.discrepancy.nuisance import OF_SHAPE
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.samples import encoder_step
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE
-from gms_flex_control.discrepancy.whitening import Grams
+from gms_flex_control.discrepancy.whitening import Band, Grams
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.registry import bounds_of
@@ -166,6 +166,52 @@ class NullRuns(NamedTuple):
     pair: tuple         # of two runs, each a list of Motion
     bands: list         # of Band, one for each recording
     by_step: list       # spectra of the pair, each nuisance `NUISANCE_STEP` off, then as it is
+
+
+def null_runs(likelihood, robot, x, count, steps) -> NullRuns:
+    """Return ``count`` null simulations of a model; ``steps``: also as nuisances are stepped."""
+    simulated = likelihood.null_simulations(robot, x)
+
+    def run(k):
+        made = simulated(np.random.default_rng([likelihood.seed, k]) for _ in likelihood.motions)
+        return made if k < 2 else None, likelihood.unexplained(made, robot, x)
+    runs, clean = zip(*likelihood.pool.map(run, range(count)), strict=True)
+    bands = [Band(len(one.time), one.period, one.known) for one in likelihood.motions]
+    null = NullRuns(robot, x, clean, runs[:2], bands, [])
+    return null._replace(by_step=_by_step(likelihood, null)) if steps else null
+
+
+def _by_step(likelihood, null):
+    """Return the spectra of the pair of null simulations by step of each nuisance parameter."""
+    def stepped(step):
+        return [[band.spectra(residual) for band, residual in zip(
+            null.bands, likelihood.residuals(run, null.robot, null.x + step), strict=True)]
+            for run in null.pair]
+    count = len(null.x)
+    return list(likelihood.pool.map(
+        stepped, (*(NUISANCE_STEP * np.eye(count)), np.zeros(count))))
+
+
+def with_torque_noise(likelihood, null) -> NullRuns:
+    """
+    Return NullRuns whose pair has torque noise where links are computed from torques.
+
+    It enters their angles, and so, like noise of encoders, times inertia and stiffness.
+    """
+    computed = [likelihood.robot.joints.index(joint) for joint in likelihood.unseen]
+    size = np.zeros((len(likelihood.motions), likelihood.robot.n_joints))
+    size[:, computed] = likelihood.noise[:, computed]
+    if not size.any():
+        return null
+
+    def noisy(k, m):
+        rng = np.random.default_rng([likelihood.seed, 10, k, m])
+        motion = null.pair[k][m]
+        drawn = size[m] * rng.standard_normal(motion.samples.command.shape)
+        return motion.with_torque(object(), lambda command: command + drawn)
+    null = null._replace(pair=[[noisy(k, m) for m in range(len(likelihood.motions))]
+                               for k in range(len(null.pair))])
+    return null._replace(by_step=_by_step(likelihood, null))
 
 
 # --- what encoder noise adds --------------------------------------------------------------------
