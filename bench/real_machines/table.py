@@ -40,7 +40,9 @@ def _reported(outcome, machine):
     unit, factor = machine.length
     free = '-'
     if math.isfinite(outcome.free_before):
-        free = f'{factor * outcome.free_before:.3g} -> {factor * outcome.free_after:.3g} {unit}'
+        errors = dict.fromkeys(f'{factor * one:.3g}' for one in (
+            outcome.free_before, outcome.free_after))
+        free = f'{" -> ".join(errors)} {unit}'
     named = [effect for effect, _ in outcome.named]
     reported = [effect if effect in outcome.added else f'{effect} (not added)' for effect in named]
     known = [f'{one.words}: {_as_named(one, named, outcome)}' for one in machine.known]
