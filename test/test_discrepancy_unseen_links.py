@@ -5,7 +5,8 @@ from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, likelihood_of, retuned_of
-from gms_flex_control.discrepancy.fitting import with_white_noise
+from gms_flex_control.discrepancy.evidence import state_of
+from gms_flex_control.discrepancy.fitting import refitted, with_white_noise
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import drive_torque, motion_as_modelled, unexplained
 from gms_flex_control.discrepancy.result import FOUND
@@ -109,7 +110,30 @@ def test_an_effect_is_named_by_the_motors_alone_and_it_is_said_what_is_lost():
     result = find_discrepancy([blind(case.recording)], case.nominal, Options(most=1))
     assert result.verdict == FOUND, result.words
     assert 'No link encoder of joint1, joint2 was recorded' in result.words
-    assert 'encoder_skew' in result.words.split('Not identifiable there:')[1]
+    assert 'kinematic_error' in result.words.split('Not identifiable there:')[1]
     true, first = case.truth.effects[0], result.findings[0]
     assert first.key == true.key
     assert first.values[0].value == pytest.approx(true.values[0], rel=0.2)
+
+
+def test_torque_that_was_recorded_late_is_named_by_the_motors_alone():
+    case = make_case('clean', 3, plant='stiff', duration=40.0)
+    seen = blind(case.recording)
+    late = np.roll(seen.command, 3, axis=0), np.roll(seen.tau_motor, 3, axis=0)
+    result = find_discrepancy([replace(seen, command=late[0], tau_motor=late[1])],
+                              case.truth.robot, Options(most=1))
+    first = result.findings[0]
+    assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
+    assert first.values[0].value == pytest.approx(-6e-3, rel=0.2)
+
+
+def test_a_spring_so_soft_that_the_computed_link_runs_away_is_no_model():
+    case = make_case('clean', 3, plant='stiff', duration=10.0)
+    likelihood = likelihood_of(replace(case, recording=blind(case.recording)))
+    robot = with_effects(case.nominal, EffectSpec(name='spring_cubic', joint='joint2',
+                                                 values=(-5e8,)))
+    nuisances = likelihood.columns(as_believed(likelihood))
+    with np.errstate(all='ignore'):
+        model, columns = refitted(likelihood, robot, np.zeros(len(likelihood.sd)), nuisances)
+        assert state_of(likelihood, model, columns, 2).evidence == -np.inf
+    assert model.robot is robot

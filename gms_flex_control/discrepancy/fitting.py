@@ -143,7 +143,8 @@ def effect_columns(likelihood, model, numbers) -> np.ndarray:
         at, step = values.copy(), numbers[i].step
         step = -step if at[i] + step > numbers[i].upper else step
         at[i] += step
-        return likelihood.change(model, at_values(model.robot, numbers, at), model.x) / step
+        found = likelihood.change(model, at_values(model.robot, numbers, at), model.x) / step
+        return found if np.isfinite(found).all() else np.zeros_like(found)  # runs away
     return likelihood.each(column, range(len(numbers))).reshape(len(numbers), len(model.rows))
 
 
@@ -282,6 +283,8 @@ def _descended(likelihood, model, columns, first, plausible, iterations):
     """Return a Fitted at the minimum of the cost, what noise adds to first order."""
     known, own = len(columns) - len(model.x), None
     for _ in range(iterations):
+        if not np.isfinite(model.cost):
+            break  # a motion that runs away gives no direction
         numbers = numbers_of(likelihood, model.robot, first)
         if own is None:
             own = effect_columns(likelihood, model, numbers[known:])

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 import os
 from typing import NamedTuple, Self
 
@@ -103,7 +103,8 @@ class Likelihood:
         self._own = plant.constants_of(replace(robot, effects=()))
         self.nuisances = nuisances_of(robot) + (
             () if held_out else of_recordings(self.motions, robot))
-        self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
+        self.pool = ThreadPoolExecutor(  # models that run away warn of nothing in its threads
+            os.cpu_count() or 1, initializer=partial(np.seterr, all='ignore'))
         self._scales, self._held_out = scales_of(self.motions, robot), held_out
         self._cautious = cautious
         self._simulate(robot, np.zeros(len(self.nuisances)))

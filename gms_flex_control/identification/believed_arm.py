@@ -112,7 +112,7 @@ def _within_belief(recordings, robot, known):
             if joint in known:
                 theta, fitted_with = known[joint]
                 scale = stiffness[j] / fitted_with if springs[j] else 1.0
-                torque[:, j] = scale * friction_along(segment, j, theta, period)
+                torque[:, j] = scale * friction_along(segment, j, period)(theta)
         return torque
     fit = _WithinBelief(recordings, robot, sides, arm, base, agreed, spring_sd=sd * springs,
                         friction=friction if known else None)

@@ -11,11 +11,11 @@ held out in turn.
 """
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import rms
-from gms_flex_control.identification.coordinates import Coordinates, DROP
+from gms_flex_control.identification.coordinates import DROP
 from gms_flex_control.identification.least_squares import fit_torque, prior_of, refine, TorqueError
 from gms_flex_control.identification.objective import (
     coarser,
@@ -123,7 +123,9 @@ class _Criteria:
         self.trials = (first, *filter(None, map(self._that_judge, others)))
         self.first = first[0]
         self.whole = _Look(everything, self.first.out)
-        self.simple, self.by_torque = cache(self._simple), cache(self._by_torque)
+        self.simple, self.by_torque, self.by_innovations = (
+            cache(one) for one in (self._simple, self._by_torque, self._by_innovations))
+        self._error = cache(partial(TorqueError, objective, step=step))
 
     def _that_judge(self, looks):
         """Return the looks of a trial whose both parts have motion of the joint."""
@@ -164,7 +166,7 @@ class _Criteria:
             for one in (self.by_torque, self.by_innovations)))
         return torque < _FAR and not free > _LITTLE
 
-    def by_innovations(self, look) -> tuple[Coordinates, np.ndarray]:
+    def _by_innovations(self, look):
         """Return Coordinates and free numbers of the fit by the innovations."""
         if look is self.first:
             return self._fit.coordinates, self._fit.held
@@ -225,9 +227,6 @@ class _Criteria:
         return _Squares(
             np.bincount(error.block, error(theta) ** 2) / len(error.block),
             free_run_error(self._objective, theta, look.out) ** 2)
-
-    def _error(self, chosen):
-        return TorqueError(self._objective, chosen, self._step)
 
 
 def _trials(bundle):

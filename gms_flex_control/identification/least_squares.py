@@ -125,25 +125,27 @@ class TorqueError:
     """Torque that parameters leave unexplained along the motion of ``chosen`` samples (T,)."""
 
     def __init__(self, objective: Objective, chosen: Callable, step: float):
-        self._objective, bundle, blocks, used = objective, objective.bundle, [], 0
-        self._pieces = []  # (Segment, its friction torque by the link equation, where it counts)
+        bundle, blocks, used = objective.bundle, [], 0
+        self._pieces = []  # (window, friction by the link equation, that of parameters, counts)
         for segment in bundle.segments:
             counts = chosen(segment) & bundle.judged(segment, objective.joint, step)
             block = used + np.arange(len(counts)) // block_length(bundle.period)
             used = block[-1] + 1
             if counts.any():
                 blocks.append(block[counts])
-                self._pieces.append((segment, objective.measured(segment), counts))
+                self._pieces.append((segment.window, objective.measured(segment),
+                                     objective.resistance_along(segment), counts))
         self.block = np.unique(np.concatenate(blocks), return_inverse=True)[1]
-        self.measured = np.concatenate([torque[counts] for _, torque, counts in self._pieces])
+        self.measured = np.concatenate([
+            torque[counts] for _, torque, _, counts in self._pieces])
         self.memory = max(_MEMORY / bundle.period,
-                          *(2.0 * segment.window for segment, *_ in self._pieces))
+                          *(2.0 * window for window, *_ in self._pieces))
 
     def __call__(self, theta):
         """Return the unexplained torque (S,) of parameters [N m]."""
         return np.concatenate([
-            low_pass(torque - self._objective.resistance(segment, theta), segment.window)[counts]
-            for segment, torque, counts in self._pieces])
+            low_pass(torque - resistance(theta), window)[counts]
+            for window, torque, resistance, counts in self._pieces])
 
 
 def fit_torque(error: TorqueError, coordinates: Coordinates, free, prior: Prior) -> np.ndarray:

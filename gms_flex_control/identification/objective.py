@@ -136,12 +136,11 @@ def observer_bandwidth(arm: ArmParams, coulomb, half, noise, period: float) -> n
     return np.clip(wanted, _SLOWEST, min(_FASTEST, _FASTEST_STEP / period))
 
 
-def friction_along(segment: Segment, joint: int, theta: np.ndarray,
-                   period: float) -> np.ndarray:
-    """Return the friction of a joint (T,) with its parameters along the smoothed motion [N m]."""
-    return segment.factor[:, joint] * gms.replay(
-        smooth_angle(segment, period)[:, [joint]], segment.rate[:, [joint]], period,
-        friction_record([theta]))[:, 0]
+def friction_along(segment: Segment, joint: int, period: float) -> Callable:
+    """Return a function of a joint's parameters: its friction (T,) along smoothed motion [N m]."""
+    rate, factor = segment.rate[:, [joint]], segment.factor[:, joint]
+    angle = smooth_angle(rate, period)
+    return lambda theta: factor * gms.replay(angle, rate, period, friction_record([theta]))[:, 0]
 
 
 class Objective:
@@ -190,11 +189,15 @@ class Objective:
             records.build(blocks), records.build(blocks), plant.workspace(n), predicted)
         return predicted[:, :, self._own]
 
+    def resistance_along(self, segment) -> Callable:
+        """Return a function of parameters: friction (T,) as `friction_along`, less others."""
+        friction = friction_along(segment, self.joint, self.bundle.period)
+        extra = self.extra(segment)
+        return lambda theta: friction(theta) - extra @ theta[len(theta) - extra.shape[1]:]
+
     def resistance(self, segment, theta) -> np.ndarray:
         """Return friction of the joint (T,) along the smoothed motion, less further torques."""
-        extra = self.extra(segment)
-        return friction_along(segment, self.joint, theta, self.bundle.period
-                              ) - extra @ theta[len(theta) - extra.shape[1]:]
+        return self.resistance_along(segment)(theta)
 
     def measured(self, segment) -> np.ndarray:
         """Return what the joint's equation of motion says of its friction (T,) [N m]."""

@@ -347,9 +347,9 @@ def while_moved(segments: Sequence[Segment], recordings: Sequence[Recording],
         segments, held, strict=True)]
 
 
-def smooth_angle(segment: Segment, period: float) -> np.ndarray:
-    """Return the angles (T, n) whose derivative is the smoothed rate."""
-    steps = 0.5 * (segment.rate[1:] + segment.rate[:-1]) * period
+def smooth_angle(rate: np.ndarray, period: float) -> np.ndarray:
+    """Return the angles (T, n) whose derivative is a smoothed rate (T, n)."""
+    steps = 0.5 * (rate[1:] + rate[:-1]) * period
     return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
 
 

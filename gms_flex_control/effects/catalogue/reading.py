@@ -83,7 +83,6 @@ class RecordingDelay(Term):
     similar = ('actuator_lag', 'input_delay')
     discriminated_by = ('fast motion of each joint in turn: drives are late one by one, a '
                         'recording at once')
-    needs_link_encoder = True
     of_feedback = True
     of_recording = True
     parameters = (Parameter('delay', 's', 'by which all angles are older than the torques',
