@@ -2,12 +2,17 @@
 """Flexible joints of which only the motors were recorded: friction is identified all the same."""
 
 from dataclasses import replace
+from pathlib import Path
 
+from bench.hidden_arms.plant import recording_of
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.identify import identify
+from gms_flex_control.schema.files import load_robot
 from identified_axis import axis, experiment, JOINT, part
 import numpy as np
 import pytest
+
+EXAMPLES = Path(__file__).parents[1] / 'examples'
 
 
 def motors_only(recording, **changes):
@@ -24,6 +29,16 @@ def test_coulomb_friction_of_a_flexible_joint_shows_by_its_motor_alone():
     assert found.joints[0].side == 'motor' and not found.robot.arm.rigid.any()
     for side in ('forward', 'backward'):
         own, true = (getattr(robot.friction, side).coulomb for robot in (found.robot, axis()))
+        assert own == pytest.approx(true, rel=0.05)
+
+
+def test_torques_of_links_that_are_computed_are_not_lost_in_noise_of_their_accelerations():
+    """Noise of a drive moves the link that is computed with it, and a heavy one's torque far."""
+    robot = load_robot(EXAMPLES / 'industrial_arm' / 'robot.yaml')
+    recording = recording_of(robot, robot, seconds=20.0, noise=0.06, motors_only=True, seed=7601)
+    found = identify([recording], robot)
+    for side in ('forward', 'backward'):
+        own, true = (getattr(one.friction, side).coulomb for one in (found.robot, robot))
         assert own == pytest.approx(true, rel=0.05)
 
 

@@ -29,12 +29,27 @@ class UnseenLink(NamedTuple):
     stiffness: float  # as believed [N m/rad]
     inertia: float    # of the motor, as believed [kg m^2]
     window: int       # of the low-pass its angle is seen through, samples
+    fine: bool        # whether noise of the encoder sets that no limit
 
     def angle(self, motor: np.ndarray, torque: np.ndarray, period: float) -> np.ndarray:
         """Return where the link is (T,) [rad], of motor angles and held torques (T,) [N m]."""
+        return analysis.low_pass(motor - self._torsion(motor, torque, period), self.window)
+
+    def angle_to_fit(self, motor: np.ndarray, torque: np.ndarray, period: float) -> np.ndarray:
+        """
+        Return the same for a fit; of a fine encoder torsion alone is filtered.
+
+        A fit chooses the smoothing of accelerations by the white noise of an angle. Filtered ones
+        have none, and noise up to the filter's band remains, which inertia makes a large torque.
+        """
+        if not self.fine:
+            return self.angle(motor, torque, period)
+        return motor - analysis.low_pass(self._torsion(motor, torque, period), self.window)
+
+    def _torsion(self, motor, torque, period):
         spring = analysis.held_triangle(torque) - self.inertia * (
             analysis.second_difference(motor, period))
-        return analysis.low_pass(motor - spring / self.stiffness, self.window)
+        return spring / self.stiffness
 
 
 def unseen_links(recording: Recording, robot: RobotParams) -> tuple[UnseenLink, ...]:
@@ -51,7 +66,7 @@ def unseen_links(recording: Recording, robot: RobotParams) -> tuple[UnseenLink, 
         density = 2.0 * noise ** 2 * recording.period * carried ** 2
         band = (9.0 * (_INERTIA_NOISE * _usual_torque(recording, j)) ** 2 / density) ** (1.0 / 9.0)
         found.append(UnseenLink(j, stiffness, inertia, analysis.low_pass_window(
-            np.clip(band, *_BAND), recording.period)))
+            np.clip(band, *_BAND), recording.period), bool(band >= _BAND[1])))
     return tuple(found)
 
 
@@ -73,7 +88,7 @@ def with_links(recording: Recording, robot: RobotParams) -> Recording:
         motor = resampled(recording, recording.q_motor[:, link.joint], time,
                           f'motor angle of {robot.joints[link.joint]!r}')
         q_link[:, link.joint] = np.interp(
-            recording.time, time, link.angle(motor, torque[:, link.joint], period))
+            recording.time, time, link.angle_to_fit(motor, torque[:, link.joint], period))
     return replace(recording, q_link=q_link)
 
 
