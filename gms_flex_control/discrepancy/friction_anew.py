@@ -33,12 +33,10 @@ def with_friction_anew(search: Callable, recordings: Sequence, robot: RobotParam
     Return the Discrepancy with the friction that predicts best beside what it names.
 
     ``search`` RobotParams -> Discrepancy. That of ``robot`` is returned unless its friction was
-    identified along the ``recordings``, and of an arm in space, which would take minutes;
-    ``widened`` as for `identify`.
+    identified along the ``recordings``; ``widened`` as for `identify`.
     """
     found = search(robot)
-    along = {one.identity for one in recordings} <= set(robot.identified_from)
-    if not along or robot.arm.frames is not None:
+    if not {one.identity for one in recordings} <= set(robot.identified_from):
         return found
     before, beside, failed = found.gap.before, (), set()
     for _ in range(_ROUNDS):
