@@ -114,7 +114,8 @@ WITH_NODES = {
 WITHOUT_NODES = {
     'identification_axis': 40,  # compiles for one joint meanwhile
     'identification_loads': 28,  # and for six: no two compile the same
-    'identification_unseen_links': 36, 'discrepancy_workflow': 60, 'results': 34, 'discrepancy_faults': 28, 'recovery': 21,
+    'discrepancy_workflow': 60, 'identification_unseen_links': 36, 'results': 34,
+    'discrepancy_faults': 28, 'recovery': 21,
     'effects_learned': 16, 'identification_believed_arm': 15, 'speed': 15, 'real_machines': 15,
     'tutorials': 14, 'cli_identify': 14, 'identification_criterion': 13, 'tuning_study': 12,
     'design': 12, 'schema_urdf_arm': 11, 'discrepancy_unseen_links': 10, 'hidden_score': 10,
