@@ -75,6 +75,13 @@ def test_a_channel_the_equations_need_is_asked_for(case):
                          case.nominal)
 
 
+def test_torques_that_never_change_were_not_recorded(case):
+    zero = np.zeros_like(case.recording.tau_motor)
+    found = faults_of([replace(case.recording, tau_motor=zero, command=np.nan * zero)],
+                      case.nominal)
+    assert [one.severity for one in found] == ['refuse'] and 'ever changes' in found[0].text
+
+
 def test_a_fault_of_the_recording_held_out_counts_too(case):
     result = find_discrepancy([case.recording], case.nominal, holdout=[
         ALL['milliseconds'][2](case.recording)])

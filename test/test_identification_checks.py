@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 import warnings
 
+from bench.hidden_arms.plant import recording_of
 from bench.hidden_robots.cases import make_case
 from faulty import (
     changed,
@@ -31,6 +32,7 @@ from gms_flex_control.identification.prediction_error import coupling_sentences
 from gms_flex_control.identification.problem import Problem
 from gms_flex_control.identification.recording_checks import check, require
 from gms_flex_control.identification.segments import drive_sides, TorqueWarning
+from gms_flex_control.schema.files import load_robot
 from identified_axis import pendulum
 import numpy as np
 import pytest
@@ -116,6 +118,33 @@ def test_recordings_of_other_joint_order_are_found_by_name():
     turned = replace(with_columns(recording, [1, 0]), joints=recording.joints[::-1],
                      reference=recording.reference[:, :, ::-1])
     assert check(turned, robot) == ()
+
+
+def test_torques_of_an_arm_that_are_all_reversed_are_not_called_exchanged():
+    """Joints that turn alike fit each other's motion better than their own the wrong way round."""
+    robot = load_robot(ROOT / 'examples' / 'light_arm' / 'robot.yaml')
+    recording = recording_of(robot, robot, seconds=10.0, noise=0.03, motors_only=False, seed=3)
+    assert check(recording, robot) == ()
+    found = check(replace(recording, tau_motor=-recording.tau_motor), robot)
+    assert {one.kind for one in found} == {'torque_sign'}
+
+
+def test_stamps_in_bursts_are_times_of_receipt():
+    recording, robot = healthy('unlike')
+    rows = np.arange(len(recording.time))
+    last = np.minimum(rows // 5 * 5 + 4, rows[-1])
+    found = check(replace(recording, time=recording.time[last] + 2e-5 * (rows % 5)), robot)
+    assert [(one.kind, one.severity) for one in found] == [('clock', 'refuse')]
+    assert 'bursts' in found[0].text
+
+
+def test_joints_without_any_torque_are_not_called_still():
+    recording, robot = healthy('unlike')
+    nothing = replace(recording, tau_motor=np.zeros_like(recording.tau_motor))
+    axes = replace(robot, motors=('', ''), arm=replace(
+        robot.arm, stiffness=np.full(robot.n_joints, np.inf)))
+    with pytest.raises(IdentificationError, match='no joint has a torque that ever changes'):
+        Problem([(nothing, ())], [], axes)
 
 
 def test_require_raises_the_first_fault_unless_forced():

@@ -199,7 +199,7 @@ def resampled(recording: Recording, values: np.ndarray, time: np.ndarray,
     known = np.isfinite(values)
     if known.mean() < 0.5:
         raise BagError(f'{recording.source}: the {what} is missing; the equations of motion '
-                       'need it')
+                       'need it: record it, or describe the joint as rigid (stiffness: .inf)')
     if time is recording.time and known.all():
         return values
     return np.interp(time, recording.time[known], values[known])

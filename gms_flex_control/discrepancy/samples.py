@@ -15,7 +15,7 @@ from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import even_time, held, held_torque, resampled
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification import sampling_checks
-from gms_flex_control.identification.check_basis import absent_joints
+from gms_flex_control.identification.check_basis import absent_joints, Finding
 from gms_flex_control.identification.recording_checks import check
 from gms_flex_control.identification.unseen_links import unseen_links, with_links
 from gms_flex_control.params.arm import at_last_link, Body, carrying, why_not_carried
@@ -151,6 +151,11 @@ def _faults(recording, robot):
     timing = [*sampling_checks.length(recording), *sampling_checks.clock(recording)]
     if any(finding.severity == 'refuse' for finding in timing):
         return timing  # nothing can be computed along such a time
+    torque = recording.command if recording.has_commands else recording.tau_motor[2:]
+    if np.isfinite(torque).all() and not np.ptp(torque, axis=0).any():
+        return [Finding('missing', '', 'refuse', (
+            f'{recording.source}: no torque ever changes, as where a driver reports none; record '
+            'efforts or commands (a robot that nothing drives: --force)'))]
     recording = with_links(recording, robot)
     if recording.has_currents and robot.arm.kind == 'decoupled':
         recording = replace(recording, scale_sd=0.0)  # of the robot file as well

@@ -21,6 +21,8 @@ FEWEST = 200                    # samples of a recording
 SHORTEST, SHORT = 2.0, 4.0      # duration refused and warned about below [s]
 MISSING_WARN, MISSING_MOST, MISSING_REFUSE = 0.001, 10, 0.3  # share, samples, share without number
 # clock
+BURST = 0.2                      # of the mean period: a median below that is one within bursts
+BURSTS = 0.02                    # share of longer steps, of which a paused recording has few
 FASTEST, SLOWEST = 2e-5, 0.2    # plausible periods [s]
 LOST_WARN, LOST_REFUSE = 0.003, 0.3  # share of lost samples
 GAP_WARN = 0.05                 # a single gap worth a word [s]

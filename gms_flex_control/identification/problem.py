@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Self
 import warnings
 
+from gms_flex_control.errors import IdentificationError
 from gms_flex_control.friction import steady_friction
 from gms_flex_control.identification import assumed_robot, prediction_error, uncertainty
 from gms_flex_control.identification.arm_differences import difference_estimates
@@ -134,6 +135,10 @@ class Problem:
         is_driven = np.any([driven(one, self.sides) for one in self._recordings], axis=0)
         fitted = [j for j in joints if is_driven[j] and (
             j in moved or self.described.arm.frames is None)]
+        if not is_driven.any():
+            raise IdentificationError(
+                f'{", ".join(self._sources)}: no joint has a torque that ever changes, as where a '
+                'driver reports none; record the efforts, or commands as efforts (import-csv)')
         if len(fitted) in (0, len(joints)) or not moved:
             return list(joints)
         for why, left_out in (

@@ -189,7 +189,8 @@ def _spring_scale(balance, j):
     yield Finding('torque_scale', name, 'refuse', f'{balance.source}: the torque '
                   f'of {name} is {middle:.3g} times what its torsion and a stiffness '
                   f'of {stiffness:.4g} N m/rad make; give the torque in N m at the joint (unit, '
-                  'gear ratio, torque constant), or correct the stiffness')
+                  'gear ratio), or its torque constant in recording.yaml, or correct the '
+                  'stiffness')
 
 
 def _fits_where_small(tau, ddq_motor, torsion, stiffness):
@@ -222,7 +223,8 @@ def _inertia_scale(balance, j):
         yield Finding('torque_scale', name, 'refuse' if factor > refused else 'warn',
                       f'{balance.source}: the torque of {name} is {ratio:.3g} '
                       "times what the robot's inertia and gravity need; give the torque in N m "
-                      'at the joint (unit, gear ratio, torque constant), or correct the inertia')
+                      'at the joint (unit, gear ratio), or its torque constant in recording.yaml, '
+                      'or correct the inertia')
 
 
 def _unexplained(balance):
@@ -267,8 +269,8 @@ def _exchanged_torques(balance):
     """Find two joints each of whose torque fits the other's motion far better."""
     found = []
 
-    def explained(torque, j):
-        tau = balance.motion.tau[:, torque]
+    def explained(torque, j, sign=1.0):
+        tau = sign * balance.motion.tau[:, torque]
         if j in balance.springs:
             return balance.spring_share(tau, j)
         fits = balance.fits(tau, j)
@@ -277,6 +279,8 @@ def _exchanged_torques(balance):
     for i, j in combinations(balance.driven, 2):
         crossed = [1 - explained(i, j), 1 - explained(j, i)]
         straight = [1 - explained(i, i), 1 - explained(j, j)]
+        if sum(1 - explained(k, k, -1.0) for k in (i, j)) < sum(crossed):
+            continue  # both are reversed, as `_directions` says
         if max(crossed) < 0.3 and sum(crossed) < 0.25 * sum(straight) and all(
                 a < b for a, b in zip(crossed, straight, strict=True)):
             first, second = balance.joints[i], balance.joints[j]

@@ -27,6 +27,12 @@ def length(signals: Recording) -> list[Finding]:
 def clock(signals: Recording) -> list[Finding]:
     """Return findings of the time stamps, kinds 'clock' and 'dropped'."""
     steps, period = np.diff(signals.time), signals.period
+    mean = float(np.mean(steps))
+    if period < limits.BURST * mean and np.mean(steps > limits.BURST * mean) > limits.BURSTS:
+        return [Finding('clock', '', 'refuse', f'{signals.source}: stamps come in bursts, most '
+                        f'{1e3 * period:.2g} ms or less after the one before, {1e3 * mean:.3g} ms '
+                        'on average: times of receipt; stamp the samples when they are taken '
+                        '(header.stamp)')]
     if not limits.FASTEST <= period <= limits.SLOWEST:
         return [Finding('clock', '', 'refuse', f'{signals.source}: the median sample period is '
                         f'{period:.4g} s; are the stamps in another unit than seconds?')]

@@ -72,11 +72,12 @@ def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
     for j, joint in enumerate(robot.joints):
         two_sided = not robot.arm.rigid[j] and np.isfinite(recording.q_motor[:, j]).any()
         has_torque = np.isfinite(recording.tau_motor[:, j]).any()
+        changes = np.ptp(np.nan_to_num(recording.tau_motor[2:, j])) > 0.0
         if not two_sided and not has_torque:
             raise IdentificationError(
                 f'{recording.source}: {joint} has neither a motor torque (effort) nor angles of '
                 'both sides of a spring; record the effort, or the motor side as well')
-        if two_sided and has_torque and joint not in described:
+        if two_sided and changes and joint not in described:
             off = _spring_mismatch(recording, robot, j)
             if off > _SPRING_OFF:
                 warnings.warn(
