@@ -57,7 +57,11 @@ def test_friction_of_the_same_recording_is_identified_anew_beside_what_is_missin
     result = find_discrepancy([case.recording], found)
     assert [one.key for one in result.findings] == [spec.key]
     assert f'anew beside {spec.name} of {spec.joint}' in result.words
-    assert 'anew' not in elsewhere.words
+    assert [one['effect'] for one in report_values(result)['identified_beside']] == [spec.name]
+    assert 'anew' not in elsewhere.words and not elsewhere.identified_beside
+    commands = [discrepancy_answer(one, '.').command
+                for one in (result, replace(result, identified_beside=()))]
+    assert ['gms_flex identify' in one for one in commands] == [False, True]  # it has been
     assert result.gap.before == pytest.approx(elsewhere.gap.before)  # of the model as given
     errors = [abs(robot.friction.forward.coulomb[0] / truth - 1.0)
               for robot in (found, result.robot)]

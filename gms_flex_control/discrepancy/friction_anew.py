@@ -57,7 +57,7 @@ def with_friction_anew(search: Callable, recordings: Sequence, robot: RobotParam
         del other  # two searches fill the memory
     if not beside:
         return found
-    return replace(found, gap=replace(found.gap, before=before)).saying(
+    return replace(found, gap=replace(found.gap, before=before), identified_beside=beside).saying(
         f'Friction was identified anew beside {listed(beside)}: the values given had taken up '
         'some of it.')
 

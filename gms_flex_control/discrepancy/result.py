@@ -203,6 +203,7 @@ class Discrepancy:
     findings: tuple = ()      # of Finding that matter: those in ``robot`` first, the largest first
     minor: tuple = ()         # of Finding that are small
     stand_ins: tuple = ()     # of EffectSpec in ``robot`` that only resemble what is missing
+    identified_beside: tuple = ()  # of EffectSpec beside which friction was identified anew
     unexplained: Signature | None = None  # what is left, where it matters
     learned: tuple = ()       # of LearnedTerm of ``robot``, where that was asked for
     gap: Gap | None = None    # None where the data are bad

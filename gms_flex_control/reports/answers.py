@@ -161,14 +161,14 @@ def _next_of(result, folder, holdout):
     """
     Return the words of the command that follows a Discrepancy whose robot.yaml is in ``folder``.
 
-    Where `identify` finds no friction beside what the robot has, the written friction is the
-    result: other data try it, and a model that lacks nothing is controlled, with torques and
-    travel as recorded.
+    Where `identify` finds no friction beside what the robot has, or has found it, the written
+    friction is the result: other data try it, and a model that lacks nothing is controlled, with
+    torques and travel as recorded.
     """
     model, bags, likelihood = folder / 'robot.yaml', result.data.sources, result.behind.likelihood
     if result.is_open and not result.learned:
         return 'discrepancy', *bags, '--robot', model, '--learn', '--out', folder / 'learned'
-    if not (result.is_open or refusals(result.robot)):
+    if not (result.is_open or result.identified_beside or refusals(result.robot)):
         return 'identify', *bags, '--robot', model, '--out', folder / 'friction'
     if result.verdict == FOUND and not result.learned:
         return 'discrepancy', *(holdout or bags), '--robot', model, '--out', folder / 'again'

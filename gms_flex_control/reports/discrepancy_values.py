@@ -27,8 +27,9 @@ def report_values(result, *, holdout=(), models=()) -> dict:
         'credible': [{'effects': [{'effect': effect, 'joint': joint} for effect, joint in
                                   model.effects], 'probability': model.probability}
                      for model in result.searched.models],
-        'stand_ins': [{'effect': one.name, 'joint': one.joint, 'values': list(one.values)}
-                      for one in result.stand_ins],
+        **{name: [{'effect': one.name, 'joint': one.joint, 'values': list(one.values)}
+                  for one in getattr(result, name)] for name in (
+                      'stand_ins', 'identified_beside')},
         'noise': [one._asdict() for one in result.data.noise],
         'unexplained': result.unexplained._asdict() if result.unexplained else None,
         'learned': [{'effect': one.effect, 'joint': one.joint, 'formula': one.formula,
