@@ -307,10 +307,9 @@ def _with_blocks_together(objective, coordinates, end, prior):
     softer hardly slips: the cost is flat there, and steps do not lead back.
     """
     for side in (0, -1):
-        while coordinates.n_blocks > 1:
-            yields = np.sort(end.free[coordinates.yields])
-            near = yields[1 if side == 0 else -2]
-            if abs(yields[side] - near) < np.log(_LOST_BLOCK):
+        for _ in range(coordinates.n_blocks - 1):
+            near = _lost(coordinates, end.free, side)
+            if near is None:
                 break
             begin = end.free.copy()
             at = coordinates.yields.start + int(
@@ -318,10 +317,18 @@ def _with_blocks_together(objective, coordinates, end, prior):
             begin[at] = near
             floor = end.evaluation.floor
             other = refine(objective, coordinates, begin, prior, roughly=True, floor=floor)
-            if _cost_above(other, floor, prior) >= _cost_above(end, floor, prior):
+            worse = _cost_above(other, floor, prior) / _cost_above(end, floor, prior)
+            if worse >= (GAIN if _lost(coordinates, other.free, side) is None else 1.0):
                 break
             end = other
     return end
+
+
+def _lost(coordinates, free, side):
+    """Return what the neighbour of a lost block at one end yields at (logarithm), or None."""
+    yields = np.sort(free[coordinates.yields])
+    near = yields[1 if side == 0 else -2]
+    return near if abs(yields[side] - near) >= np.log(_LOST_BLOCK) else None
 
 
 def _tried(objective, coordinates, free, prior, floor, steps, limit):
