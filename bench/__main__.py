@@ -33,7 +33,7 @@ EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
     'paper-method': ('demo_identify_output/bag', 'my_bag --robot robot.yaml'),
     'hide': ('--effect backlash --out hidden', '--kind single double --seeds 0:5 --out hidden'),
     'score': ('--out quick', '--kind single --seeds 0:20 --no-peers --out singles'),
-    'hidden-arms': ('--seeds 0:5 --kinds single clean', '--arms light --seeds 10:20'),
+    'hidden-arms': ('--seeds 0:5 --kinds single clean', '--arms light --seeds 10:20 --identified'),
     'base-parameters': ('', '--seeds 0:5'),
     'learn': ('--seeds 0:1 --clean 0:2 --machines --out learned', '--out learned'),
     'next': ('--seeds 0:1 --out next', '--families "lag, delay" --seeds 0:4 --out lag'),

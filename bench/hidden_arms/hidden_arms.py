@@ -5,7 +5,9 @@ Hidden effects on a six-axis and a seven-axis arm: what the workflow finds, with
     .venv/bin/python -m bench hidden-arms --seeds 0:10 --kinds single clean double outside
 
 MuJoCo is the robot, gravity on. Masses, stiffnesses and friction are believed with errors of the
-size of their priors. Every robot is asked for in a process of its own.
+size of their priors. Every robot is asked for in a process of its own. With ``--identified``
+nothing is known of friction: it is identified in the same recording, as a user does, and wrong
+levels of friction are then no effects.
 
 A free run begins with readings and ends with the true robot's own error: free runs are judged
 above what the true parameters leave on the same recording, where what is missing shows in them.
@@ -32,6 +34,8 @@ from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.file_io import write_text
+from gms_flex_control.identification.identify import identify
+from gms_flex_control.identification.output import uncertainty_of
 from gms_flex_control.params.robot import EffectSpec, RobotParams, WHOLE_ARM
 from gms_flex_control.schema.files import load_robot
 import numpy as np
@@ -43,6 +47,7 @@ _OF_JOINT = (*_SPRING, 'coulomb_error', 'viscous_error', 'position_friction', 'l
              'torque_ripple', 'torque_gain', 'constant_link_torque', 'quadratic_drag',
              'link_inertia_error', 'motor_inertia_error', 'input_delay')
 _OF_ARM = ('gravity_tilt', 'tip_payload')
+_OF_FRICTION = ('coulomb_error', 'viscous_error')  # right values, where it is identified
 _INERTIA_SD, _STIFFNESS_SD, _FRICTION_SD = 0.01, 0.01, 0.01  # of what is believed
 NOISES = (0.01, 0.03, 0.06)  # of Coulomb friction
 KINDS = ('single', 'clean', 'double', 'outside')
@@ -56,6 +61,7 @@ class Job(NamedTuple):
     kind: str
     seed: int
     seconds: float
+    identified: bool = False  # friction, in the same recording, instead of being believed
 
 
 class Case(NamedTuple):
@@ -83,6 +89,7 @@ class Outcome(NamedTuple):
     free_above: float  # likewise, both above that of the true robot; NaN where it does not show
     took: float        # [s]
     megabytes: float   # largest, of the process
+    coulomb_off: float = np.nan  # F_c identified over the true one, less 1, of the worst joint
 
 
 def hidden_of(robot: RobotParams, rng: np.random.Generator) -> Hidden:
@@ -194,26 +201,38 @@ def free_ratios(found, true: RobotParams) -> tuple[float, float]:
         max(after - least, 0.0) / (before - least))) if shows else np.nan
 
 
+def identified(case: Case) -> tuple[RobotParams, float]:
+    """Return what is believed with friction as identified, and how far F_c is off at most."""
+    found = identify([case.recording], case.believed)
+    off = [getattr(found.robot.friction, side).coulomb / getattr(case.true.friction, side).coulomb
+           for side in ('forward', 'backward')]
+    return replace(found.robot, uncertainty={**case.believed.uncertainty,
+                                             **uncertainty_of(found)}), float(
+        np.abs(np.array(off) - 1.0).max())
+
+
 def try_job(job: Job) -> Outcome:
     """Simulate one hidden robot and ask the workflow."""
     case, base = case_of(job), _megabytes()
-    begun, findings, ratios = time.monotonic(), (), (np.nan, np.nan)
+    begun, findings, ratios, off = time.monotonic(), (), (np.nan, np.nan), np.nan
     try:
-        found = find_discrepancy([case.recording], case.believed)
+        believed, off = identified(case) if job.identified else (case.believed, np.nan)
+        found = find_discrepancy([case.recording], believed)
         findings, verdict = found.findings, found.verdict
     except GmsFlexError as error:
         found, verdict = None, f'error: {error}'
     took = time.monotonic() - begun
     if found and found.gap and job.kind in ('single', 'double'):
         ratios = free_ratios(found, case.true)
-    right, wrong = judged(job.kind, [(one.name, one.joint) for one in case.hidden], verdict,
-                          findings)
+    truth = [(one.name, one.joint) for one in case.hidden
+             if not (job.identified and one.name in _OF_FRICTION)]
+    right, wrong = judged(job.kind, truth, verdict, findings)
     return Outcome(
         ', '.join(one.name + f' {one.joint} ' + ' '.join(
             f'{key} {value:.3g}' for key, value in one.values.items())
             for one in case.hidden) or case.outside or 'nothing', case.motors_only, case.noise,
         f'{verdict} ' + ', '.join(' '.join(one.key) for one in findings[:3]),
-        right, wrong, *ratios, took, max(_megabytes(), base))
+        right, wrong, *ratios, took, max(_megabytes(), base), off)
 
 
 def _megabytes():
@@ -232,13 +251,15 @@ def add_parser(subparsers) -> None:
     parser.add_argument('--arms', nargs='+', choices=ARMS, default=list(ARMS))
     parser.add_argument('--seconds', type=float, default=20.0, metavar='S',
                         help='of each recording (default: %(default)g)')
+    parser.add_argument('--identified', action='store_true',
+                        help='friction is not known, but identified in the same recording')
     parser.add_argument('--out', metavar='FILE', help='outcomes as JSON; those there are kept')
     parser.set_defaults(run=run)
 
 
 def run(args) -> int:
     """Ask, print each outcome and their figures; return 0."""
-    jobs = [Job(arm, kind, seed, args.seconds) for seed in seeds_of(args.seeds)
+    jobs = [Job(arm, kind, seed, args.seconds, args.identified) for seed in seeds_of(args.seeds)
             for kind in args.kinds for arm in args.arms]
     found, context = kept(args.out), get_context('spawn')
     for job in jobs:
@@ -251,7 +272,9 @@ def run(args) -> int:
               f'{outcome.answer} [{"right" if outcome.right else "-"}'
               f'{", wrong" if outcome.wrong else ""}] free {outcome.free_ratio:.2f}, above the '
               f'truth {outcome.free_above:.2f}, {outcome.took:.0f} s, '
-              f'{outcome.megabytes:.0f} MB', flush=True)
+              f'{outcome.megabytes:.0f} MB'
+              f'{f", F_c off by {outcome.coulomb_off:.1%} at most" if job.identified else ""}',
+              flush=True)
         if args.out:
             keep(args.out, found)
     print(align(['kind', 'encoders', 'robots', 'right', 'wrong', 'free runs', 'above the truth',
@@ -269,8 +292,9 @@ def kept(path) -> dict:
     """Return the outcomes of a file by job, none where there is no file."""
     if not path or not Path(path).exists():
         return {}
-    return {Job(*(one[key] for key in Job._fields)): Outcome(*(
-        one[key] for key in Outcome._fields)) for one in json.loads(Path(path).read_text())}
+    return {Job(**{key: one[key] for key in Job._fields if key in one}): Outcome(**{
+        key: one[key] for key in Outcome._fields if key in one})
+        for one in json.loads(Path(path).read_text())}
 
 
 def figures(found: dict) -> list:

@@ -34,6 +34,8 @@ def answer(*keys, alike=()):
     ('single', [GAIN], 'found', answer(SLOPE, GAIN), False, True),
     ('single', [GAIN], 'found', answer(SLOPE, alike=(GAIN,)), False, False),
     ('single', [GAIN], 'unexplained', answer(), False, False),
+    ('single', [], 'complete', answer(), True, False),  # friction that was identified
+    ('single', [], 'found', answer(SLOPE), False, True),
     ('double', [GAIN, SLOPE], 'found', answer(SLOPE, GAIN), True, False),
     ('double', [GAIN, SLOPE], 'found', answer(SLOPE), False, False),
     ('clean', [], 'complete', answer(), True, False),
