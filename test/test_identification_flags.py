@@ -2,12 +2,13 @@
 """Which numbers of a joint are flagged as not identifiable, however narrow their intervals."""
 
 from gms_flex_control.identification.coordinates import Coordinates
-from gms_flex_control.identification.outcome import NOT_IDENTIFIABLE
+from gms_flex_control.identification.outcome import estimated, NOT_IDENTIFIABLE
 from gms_flex_control.identification.uncertainty import (
     clustered,
     estimates_of,
     inverse_of,
     memory_of,
+    shown_displacements,
     Spread,
     unshrunk,
 )
@@ -138,3 +139,14 @@ def test_numbers_of_a_prior_alone_say_nothing_of_how_far_samples_are_alike():
     inverse = inverse_of(np.diag(information + precision))
     scores = np.sqrt(7.0 * information / 400) * rng.standard_normal((400, 6))
     assert memory_of(inverse, precision, scores) == pytest.approx(7.0, rel=0.1)
+
+
+@pytest.mark.parametrize(('yields', 'known', 'expected'), [
+    ([1e-3], [True], (1e-5, 1e-3)), ([1e-3, 4e-3], [True, True], (1e-3, 4e-3)),
+    ([1e-3, 4e-3], [False, True], ()), ([1e-3], [False], ()), ([1e-6, 2e-6], [True, True], ())])
+def test_the_presliding_curve_is_shown_between_the_yields_that_are_known(yields, known, expected):
+    """The axis of one point would be singular; a block alone is a line from the first step on."""
+    blocks = [estimated(f'friction.joint1.stiffness[{size}]', 'N m/rad', 0.1 / len(yields) / size,
+                        known=one) for size, one in zip(yields, known, strict=True)]
+    shown = shown_displacements(blocks, 0.1, 1e-5, 7)
+    assert tuple(shown[[0, -1]] if len(shown) else shown) == pytest.approx(expected)

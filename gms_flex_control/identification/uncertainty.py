@@ -309,12 +309,13 @@ def shown_displacements(estimates: Sequence[Estimate], static: float, step: floa
     Return displacements [rad] from the first to the last yield of identifiable blocks.
 
     Below the first, stiffer blocks would make the curve, of which the data say nothing, and
-    below a ``step`` of the encoder [rad] nothing is seen; ``static`` is the mean F_s [N m]. Empty
-    where no stiffness is identifiable, or all yield within a step.
+    below a ``step`` of the encoder [rad] nothing is seen; ``static`` is the mean F_s [N m]. A
+    block alone makes a line from a step on. Empty where no stiffness is identifiable, or only one
+    of several, or all yield within a step.
     """
     blocks = [one for one in estimates if '.stiffness[' in one.name]
     yields = np.array([static / len(blocks) / max(one.value, 1e-300) for one in blocks])
     known = ~np.array([bool({NOT_IDENTIFIABLE, DEPENDS} & set(one.flags)) for one in blocks])
-    if not known.any() or yields[known].max() < step:
-        return np.zeros(0)
-    return np.geomspace(max(yields[known].min(), step), yields[known].max(), points)
+    least = yields[known].min(initial=np.inf) if len(blocks) > 1 else 0.0
+    first, last = max(least, step), yields[known].max(initial=0.0)
+    return np.geomspace(first, last, points) if first < last else np.zeros(0)

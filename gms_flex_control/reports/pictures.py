@@ -65,7 +65,7 @@ def loops_figure(result) -> Figure:
         curve.plot(1e3 * x, torque, color=style.COLOURS[0], label='fitted')
         curve.legend(**above, ncols=3)
     else:
-        _instead(curve, 'no stiffness is identifiable')
+        _instead(curve, 'no presliding curve is identifiable')
     style.labelled(figure, [loops, curve], [
         ('displacement [mrad]', 'friction torque [N m]'),
         ('displacement from rest [mrad]', 'friction torque [N m]')],
