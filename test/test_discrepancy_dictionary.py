@@ -100,6 +100,8 @@ def test_effects_that_scale_a_joint_together_do_not_join(ideal_robot):
     assert [may_join(spec, robot, 2) for spec in specs] == [False, True, False, True]
     other = replace(spring, joint='joint2')
     assert may_join(replace(spring, name='motor_inertia_error'), robot, 0)  # K separates them
+    assert not may_join(replace(spring, name='load_friction'), replace(robot, effects=(
+        replace(spring, name='link_inertia_error'),)), 0)  # it would scale what a motor carries
     assert may_join(other, robot, 0) and not may_join(other, replace(robot, effects=(other,)), 1)
 
 

@@ -47,6 +47,20 @@ def test_the_true_model_leaves_nothing_of_a_hidden_robot_but_its_encoders(ideal_
                                atol=1e-12)
 
 
+def test_friction_by_load_follows_from_the_motion_not_from_the_torque_it_explains(
+        ideal_robot, gains):
+    """A spring of twice the torque is no heavier load: less inertia would explain all of it."""
+    motion = driven_motion(ideal_robot, gains, duration=4.0)
+    load = EffectSpec(name='load_friction', joint='joint1', values=(0.3, 1e-3))
+    stiffer = replace(ideal_robot, arm=replace(
+        ideal_robot.arm, stiffness=2.0 * ideal_robot.arm.stiffness))
+    one, other = (
+        unexplained(motion, plant.constants_of(replace(robot, effects=(load,))))
+        - unexplained(motion, plant.constants_of(robot)) for robot in (ideal_robot, stiffer))
+    assert np.abs(one[:, 0]).max() > 0.01
+    np.testing.assert_allclose(other, one, atol=1e-9)
+
+
 @pytest.mark.parametrize(('name', 'values'), [
     ('actuator_lag', (0.02,)), ('base_flexibility', (8.0, 0.01, 0.1)), ('', ())])
 def test_what_is_kept_along_a_motion_is_that_of_its_own_torque(ideal_robot, gains, name, values):

@@ -93,6 +93,13 @@ class HeldOut:
         """Return the residual torque of each joint in motion, rms (n,) [N m]."""
         return _torque(self._measured, self._parts(state))[0]
 
+    def floor(self, state) -> np.ndarray:
+        """Return the residual torque (n,) [N m] of a null simulation of a State, or NaN."""
+        measured, model = self._measured, state.model
+        clean = _clean(measured, model)
+        return _torque(measured, _whole(measured, model), clean)[0] if clean else np.full(
+            measured.robot.n_joints, np.nan)
+
     def action(self, model, other) -> np.ndarray:
         """Return the difference of the torques of two Fitted, joints in motion, rms (n,) [N m]."""
         measured = self._measured

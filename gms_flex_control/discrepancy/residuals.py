@@ -99,6 +99,7 @@ def residuals_along(states, second, friction, bias, inertial, carried, drive, re
     s, links, effects = work.signals, constants.chain, constants.effects
     samples, n = drive.shape
     last_friction = work.friction  # with what effects make of it
+    measured = np.empty(n)         # torques of springs
     for j in range(n):
         last_friction[j] = friction[0, j]
     for k in range(samples):
@@ -106,9 +107,14 @@ def residuals_along(states, second, friction, bias, inertial, carried, drive, re
         plant.springs(state, period, constants, work)
         for j in range(n):
             s[j, sig.FRICTION] = friction[k, j]
-            if not links.flexible[j]:  # not as measured: that would explain torque by torque
-                s[j, sig.SPRING] = carried[k, j] + bias[k, j] + last_friction[j]
-        for stage in (_FRICTION, _LINK, _MOTOR):
+            # not as measured: that would explain torque by torque
+            measured[j] = s[j, sig.SPRING]
+            s[j, sig.SPRING] = carried[k, j] + bias[k, j] + last_friction[j]
+        effect_table.run_stage(_FRICTION, s, state.memory, period, effects)
+        for j in range(n):
+            if links.flexible[j]:
+                s[j, sig.SPRING] = measured[j]
+        for stage in (_LINK, _MOTOR):
             effect_table.run_stage(stage, s, state.memory, period, effects)
         for j in range(n):
             last_friction[j] = s[j, sig.FRICTION]

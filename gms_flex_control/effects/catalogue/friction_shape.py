@@ -64,6 +64,9 @@ class LoadFriction(Term):
     evidence = 'torsion'
     discriminated_by = 'the same motion under another load'
     fed_forward = True
+    # while a motor drives its link, less inertia beside friction per torque scales all that the
+    # transmission carries and leaves the motion as it is
+    excludes = staticmethod(lambda rigid: ('link_inertia_error',))
     parameters = (
         Parameter('ratio', '1', 'friction per torque carried', lower=0.0, upper=1.0,
                   typical=0.1),

@@ -31,7 +31,11 @@ class LinkInertiaError(Change):
     parameters = (Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True,
                             typical=0.3),)
     guesses = staticmethod(lambda s: linear(0.1))
-    excludes = staticmethod(lambda rigid: ('torque_gain',) if rigid else ())
+
+    @staticmethod
+    def excludes(rigid) -> tuple:
+        """Return what scales the torque that drives the link, as less inertia does."""
+        return ('torque_gain', 'load_friction') if rigid else ('load_friction',)
 
     @staticmethod
     def change(robot, joint, values) -> RobotParams:
