@@ -30,7 +30,7 @@ _OF_TIME = 12         # likewise, of time, at most
 _OF_FUNCTIONS = ('time', 'link angle', 'link rate', 'torsion')
 _READ = ('link rate', 'torsion')  # angles and time are large beside the noise of encoders
 _DIRECTED = ('time', 'link angle')  # multiplied by the direction of motion, too
-_LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
+LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
 _TRIED = 4            # functions of most evidence, of which one may be real
 
 
@@ -232,7 +232,7 @@ class FreeFunctions:
         without = normal = None
         for free in (self.ranked(model, columns) if ranked is None else ranked)[:_TRIED]:
             if (free.evidence <= EVIDENCE
-                    or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):
+                    or free.torque <= LEAST * self._likelihood.level_of(free.joint)):
                 continue
             rows, noise = self._rows(free)
             if without is None:

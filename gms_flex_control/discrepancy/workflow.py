@@ -29,7 +29,7 @@ from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
 from gms_flex_control.discrepancy.null_simulation import is_followed
-from gms_flex_control.discrepancy.remainder import FreeFunctions, signature_of
+from gms_flex_control.discrepancy.remainder import FreeFunctions, LEAST, signature_of
 from gms_flex_control.discrepancy.result import (
     BAD_DATA,
     Behind,
@@ -215,8 +215,16 @@ def _sound(likelihood, found):
 
 
 def _left_over(likelihood, model, free, gap, measured):
-    """Return the Signature of more than drive noise left, also in ``measured`` alone, or None."""
+    """
+    Return the Signature of more than drive noise left, also in ``measured`` alone, or None.
+
+    A ``free`` function is something only where the Gap exceeds its noise floor by as much.
+    """
     share, joints = min(gap.energy_ratio, 1.0), likelihood.robot.joints
+    if free is not None:
+        j = joints.index(free.joint)
+        if gap.after[j] < np.hypot(gap.floor[j], LEAST * likelihood.level_of(free.joint)):
+            free = None
     for data, function in ((likelihood, free), *([(measured, None)] if measured else [])):
         somewhere = joints_left(data, model, function)
         if somewhere:

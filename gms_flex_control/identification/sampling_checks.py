@@ -106,7 +106,9 @@ def _holes(signals, joint, name, values, needed):
     if share == 1.0:
         severity = 'refuse' if needed else 'warn'
         text = (f'the {name} of {joint} was not recorded' + (
-            '; nothing can be fitted without it' if needed else
+            '; nothing can be fitted without it' + (
+                ': commands do not say what acted, record it as effort (import-csv: torque)'
+                if name == 'torque' else '') if needed else
             '; what it alone shows is lost: record it as well'))
     elif share >= limits.MISSING_WARN or lost.size > limits.MISSING_MOST:
         severity = 'refuse' if share > limits.MISSING_REFUSE else 'warn'
