@@ -134,17 +134,18 @@ def test_as_many_other_effects_are_taken_if_they_predict_far_better(monkeypatch)
     assert found.best is likely[1]
 
 
-@pytest.mark.parametrize(('floor', 'free', 'matters'), [
-    (0.5, 1.0, True), (2.0, 1.0, False), (2.0, 0.5, True), (np.nan, 1.0, True)])
-def test_what_the_noise_floor_hides_matters_where_free_runs_are_better(
-        monkeypatch, floor, free, matters):
-    """Torque of 1 becomes 0.9; either is what encoders alone leave, or free runs shrink."""
+@pytest.mark.parametrize(('floor', 'after', 'free', 'matters'), [
+    (0.5, 0.97, 1.0, True), (2.0, 0.97, 1.0, False), (2.0, 0.9, 1.0, True),
+    (2.0, 0.97, 0.5, True), (np.nan, 0.97, 1.0, True)])
+def test_what_the_noise_floor_hides_matters_where_something_is_clearly_better(
+        monkeypatch, floor, after, free, matters):
+    """Torque of 1 becomes ``after``, 5 % less or not, or free runs are, or the floor is lower."""
     held_out = Known(SimpleNamespace(coulomb=np.ones(1)))
     held_out.floor = lambda state: np.array([floor])
     monkeypatch.setattr(findings.worth, 'plausible_limit', lambda likelihood, model: None)
     rest = SimpleNamespace(_replace=lambda **changed: state_of_errors([1.0], [1.0]))
     assert findings._lessened(
-        held_out._likelihood, Found(state_of_errors([0.9], [free]), ()),
+        held_out._likelihood, Found(state_of_errors([after], [free]), ()),
         SimpleNamespace(less=None, rest=rest), held_out)[2] == matters
 
 

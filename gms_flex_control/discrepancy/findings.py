@@ -108,19 +108,19 @@ def _lessened(likelihood, found, one, held_out):
     """
     Return by how much an effect, a Worth, lessens the residual torque of data held out.
 
-    Without it and with it, (n,) each [N m], and whether that matters in practice: not where that
-    torque is below the noise floor without it as well, and free runs are no better with it. Other
-    recordings in which it hardly acts do not say that it does not: blocks of those that were
-    fitted do.
+    Without it and with it, (n,) each [N m], and whether that matters in practice: not where
+    neither that torque, below the noise floor without it as well, nor free runs are clearly better
+    with it. Other recordings in which it hardly acts do not say that it does not: blocks of those
+    that were fitted do.
     """
     state = found.best
     less = one.rest._replace(model=one.less, plausible=worth.plausible_limit(
         likelihood, state.model))
     (before, _, free, _), (after, _, own_free, _) = held_out.errors(less), held_out.errors(state)
     better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
-    shown = better >= thresholds.PRACTICAL
-    if np.any(shown) and np.all(free <= (1.0 + thresholds.NOT_CLEARLY) * own_free):
-        shown &= before > np.nan_to_num(held_out.floor(state))
+    shown, clearly = better >= thresholds.PRACTICAL, 1.0 + thresholds.NOT_CLEARLY
+    if np.any(shown) and np.all(free <= clearly * own_free):
+        shown &= before > np.minimum(np.nan_to_num(held_out.floor(state)), clearly * after)
     matters = bool(np.any(shown))
     if not matters and held_out.other:
         absent = likelihood.fitted(fitting.without(state.model.robot, one.index), state.model.x)
