@@ -149,16 +149,18 @@ def test_what_the_noise_floor_hides_matters_where_something_is_clearly_better(
         SimpleNamespace(less=None, rest=rest), held_out)[2] == matters
 
 
-@pytest.mark.parametrize(('left', 'is_there'), [(1.02, False), (1.1, True)])
-def test_a_function_at_the_noise_floor_is_nothing(monkeypatch, left, is_there):
-    """It must leave 3 % of Coulomb friction, in squares, beyond what encoders alone leave."""
+@pytest.mark.parametrize(('left', 'free_run', 'is_there'), [
+    (1.02, 1.2, False), (1.1, 1.2, True), (1.02, 1.6, True)])
+def test_a_function_at_the_noise_floor_is_nothing(monkeypatch, left, free_run, is_there):
+    """In squares it leaves 3 % of Coulomb friction beyond the floor, or free runs twice theirs."""
     monkeypatch.setattr(workflow, 'joints_left', lambda likelihood, model, function: (
         (function.joint,) if function else ()))
     monkeypatch.setattr(workflow, 'signature_of', lambda likelihood, model, share, function: (
         SimpleNamespace(joint=function.joint, _replace=lambda joints: joints)))
     likelihood = SimpleNamespace(robot=SimpleNamespace(joints=('slide',)),
                                  level_of=lambda joint: 10.0)
-    gap = SimpleNamespace(energy_ratio=1.0, after=np.array([left]), floor=np.array([1.0]))
+    gap = SimpleNamespace(energy_ratio=1.0, after=np.array([left]), floor=np.array([1.0]),
+                          free_after=np.array([free_run]), free_floor=np.array([1.0]))
     found = workflow._left_over(likelihood, None, free(100.0), gap, None)
     assert found == (('slide',) if is_there else None)
 

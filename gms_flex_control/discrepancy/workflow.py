@@ -218,12 +218,14 @@ def _left_over(likelihood, model, free, gap, measured):
     """
     Return the Signature of more than drive noise left, also in ``measured`` alone, or None.
 
-    A ``free`` function is something only where the Gap exceeds its noise floor by as much.
+    A ``free`` function is something only where the torque of the Gap exceeds its noise floor by as
+    much, or free runs show it.
     """
     share, joints = min(gap.energy_ratio, 1.0), likelihood.robot.joints
     if free is not None:
         j = joints.index(free.joint)
-        if gap.after[j] < np.hypot(gap.floor[j], LEAST * likelihood.level_of(free.joint)):
+        if (gap.after[j] < np.hypot(gap.floor[j], LEAST * likelihood.level_of(free.joint))
+                and not gap.free_after[j] ** 2 > thresholds.BETTER * gap.free_floor[j] ** 2):
             free = None
     for data, function in ((likelihood, free), *([(measured, None)] if measured else [])):
         somewhere = joints_left(data, model, function)
