@@ -131,7 +131,7 @@ def test_a_spring_so_soft_that_the_computed_link_runs_away_is_no_model():
     case = make_case('clean', 3, plant='stiff', duration=10.0)
     likelihood = likelihood_of(replace(case, recording=blind(case.recording)))
     robot = with_effects(case.nominal, EffectSpec(name='spring_cubic', joint='joint2',
-                                                 values=(-5e8,)))
+                                                  values=(-5e8,)))
     nuisances = likelihood.columns(as_believed(likelihood))
     with np.errstate(all='ignore'):
         model, columns = refitted(likelihood, robot, np.zeros(len(likelihood.sd)), nuisances)
