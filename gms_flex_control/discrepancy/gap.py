@@ -46,7 +46,7 @@ class HeldOut:
     """Data that took no part in a fit: other recordings, or blocks of time left out in turn."""
 
     def __init__(self, likelihood, other=None, further=()):
-        self._likelihood, self.other, self._errors = likelihood, other, {}
+        self._likelihood, self.other, self._made = likelihood, other, {}
         self._further = further
 
     @cached_property
@@ -69,9 +69,13 @@ class HeldOut:
 
     def errors(self, state) -> Errors:
         """Return the Errors of a State."""
-        if id(state) not in self._errors:  # the State is kept, so that its id is its own
-            self._errors[id(state)] = state, self._errors_of(state)
-        return self._errors[id(state)][1]
+        return self._once(state, self._errors_of)
+
+    def _once(self, state, make):
+        key = make.__name__, id(state)
+        if key not in self._made:  # the State is kept, so that its id is its own
+            self._made[key] = state, make(state)
+        return self._made[key][1]
 
     def _errors_of(self, state):
         (torque, _, drive), squares = _torque(self._measured, self._parts(state)), _free_squares(
@@ -95,10 +99,11 @@ class HeldOut:
 
     def floor(self, state) -> np.ndarray:
         """Return the residual torque (n,) [N m] of a null simulation of a State, or NaN."""
+        return self._once(state, self._floor_of)
+
+    def _floor_of(self, state):
         measured, model = self._measured, state.model
-        clean = _clean(measured, model)
-        return _torque(measured, _whole(measured, model), clean)[0] if clean else np.full(
-            measured.robot.n_joints, np.nan)
+        return _floor(measured, _whole(measured, model), _clean(measured, model))
 
     def action(self, model, other) -> np.ndarray:
         """Return the difference of the torques of two Fitted, joints in motion, rms (n,) [N m]."""
@@ -115,15 +120,14 @@ class HeldOut:
                  'after': self._parts(after)}
         torque = {name: _torque(measured, one) for name, one in parts.items()}
         clean, whole = _clean(measured, after.model), _whole(measured, after.model)
-        floor = _torque(measured, whole, clean) if clean else [np.full(measured.robot.n_joints,
-                                                                       np.nan)]
+        floor = _floor(measured, whole, clean)
         free = {name: _rms(_free_squares(measured, parts[name])) for name in ('retuned', 'after')}
         return Gap(
             joints=likelihood.robot.joints,
-            **{name: one[0] for name, one in torque.items()}, floor=floor[0],
+            **{name: one[0] for name, one in torque.items()}, floor=floor,
             rest_before=torque['retuned'][1], rest_after=torque['after'][1],
             free_before=free['retuned'], free_after=free['after'],
-            free_floor=_rms(_free_squares(measured, whole, clean)) if clean else floor[0])
+            free_floor=_rms(_free_squares(measured, whole, clean)) if clean else floor)
 
     def _parts(self, state):
         """Return what predicts which held-out moments: a State as it is, or refitted in folds."""
@@ -172,6 +176,12 @@ def _clean(likelihood, model):
             np.random.default_rng(_SEED) for _ in likelihood.motions)
     except SimulationError:
         return None
+
+
+def _floor(likelihood, whole, clean):
+    """Return residual torques (n,) of null simulations [N m], NaN where there are none."""
+    return _torque(likelihood, whole, clean)[0] if clean else np.full(
+        likelihood.robot.n_joints, np.nan)
 
 
 def _torque(likelihood, parts, motions=None):

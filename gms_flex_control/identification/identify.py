@@ -73,11 +73,8 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         whole = options.estimate == 'all'
         model = assumed_robot.believed_model(widened(robot, options.widened), whole, options.force)
         recordings, holdouts = (
-            [(assumed_robot.as_assumed(one, robot), phases) for one, phases in several]
-            for several in (recordings, holdouts))
-        recordings, holdouts = (
-            [(_checked(one, model, options), phases) for one, phases in several]
-            for several in (recordings, holdouts))
+            [(_checked(assumed_robot.as_assumed(one, robot), model, options), phases)
+             for one, phases in several] for several in (recordings, holdouts))
         unknown = next((one.source for one, _ in holdouts if one.operation.load_unknown), None)
         if unknown:
             raise IdentificationError(f'{unknown}: its load is unknown, so that nothing can be '

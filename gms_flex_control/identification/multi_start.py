@@ -308,27 +308,25 @@ def _with_blocks_together(objective, coordinates, end, prior):
     """
     for side in (0, -1):
         for _ in range(coordinates.n_blocks - 1):
-            near = _lost(coordinates, end.free, side)
-            if near is None:
+            lost = _lost_block(coordinates, end.free, side)
+            if not lost:
                 break
             begin = end.free.copy()
-            at = coordinates.yields.start + int(
-                (np.argmin if side == 0 else np.argmax)(end.free[coordinates.yields]))
-            begin[at] = near
+            begin[lost[0]] = end.free[lost[1]]
             floor = end.evaluation.floor
             other = refine(objective, coordinates, begin, prior, roughly=True, floor=floor)
             worse = _cost_above(other, floor, prior) / _cost_above(end, floor, prior)
-            if worse >= (GAIN if _lost(coordinates, other.free, side) is None else 1.0):
+            if worse >= (1.0 if _lost_block(coordinates, other.free, side) else GAIN):
                 break
             end = other
     return end
 
 
-def _lost(coordinates, free, side):
-    """Return what the neighbour of a lost block at one end yields at (logarithm), or None."""
-    yields = np.sort(free[coordinates.yields])
-    near = yields[1 if side == 0 else -2]
-    return near if abs(yields[side] - near) >= np.log(_LOST_BLOCK) else None
+def _lost_block(coordinates, free, side):
+    """Return the places of a lost block at one end of the yields and of its neighbour, or ()."""
+    order = coordinates.yields.start + np.argsort(free[coordinates.yields])
+    block, beside = order[side], order[1 if side == 0 else -2]
+    return (block, beside) if abs(free[block] - free[beside]) >= np.log(_LOST_BLOCK) else ()
 
 
 def _tried(objective, coordinates, free, prior, floor, steps, limit):

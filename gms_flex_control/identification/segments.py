@@ -69,15 +69,15 @@ def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
     recording in the robot's order.
     """
     sides, described = [], {spec.joint for spec in of_stages(robot, *_OF_SPRING)}
+    changes = _torque_changes(recording)
     for j, joint in enumerate(robot.joints):
         two_sided = not robot.arm.rigid[j] and np.isfinite(recording.q_motor[:, j]).any()
         has_torque = np.isfinite(recording.tau_motor[:, j]).any()
-        changes = np.ptp(np.nan_to_num(recording.tau_motor[2:, j])) > 0.0
         if not two_sided and not has_torque:
             raise IdentificationError(
                 f'{recording.source}: {joint} has neither a motor torque (effort) nor angles of '
                 'both sides of a spring; record the effort, or the motor side as well')
-        if two_sided and changes and joint not in described:
+        if two_sided and changes[j] and joint not in described:
             off = _spring_mismatch(recording, robot, j)
             if off > _SPRING_OFF:
                 warnings.warn(
@@ -92,8 +92,11 @@ def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
 
 def driven(recording: Recording, sides: Sequence[str]) -> np.ndarray:
     """Return the joints whose links move by a known torque, bool (n,): one that ever changes."""
-    changes = np.ptp(np.nan_to_num(recording.tau_motor[2:]), axis=0) > 0.0
-    return changes | (np.array(sides) == 'spring')
+    return _torque_changes(recording) | (np.array(sides) == 'spring')
+
+
+def _torque_changes(recording):
+    return np.ptp(np.nan_to_num(recording.tau_motor[2:]), axis=0) > 0.0
 
 
 def _spring_mismatch(recording, robot, j):
