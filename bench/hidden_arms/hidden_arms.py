@@ -35,7 +35,7 @@ from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify
-from gms_flex_control.identification.output import uncertainty_of
+from gms_flex_control.identification.output import with_friction_of
 from gms_flex_control.params.robot import EffectSpec, RobotParams, WHOLE_ARM
 from gms_flex_control.schema.files import load_robot
 import numpy as np
@@ -206,9 +206,7 @@ def identified(case: Case) -> tuple[RobotParams, float]:
     found = identify([case.recording], case.believed)
     off = [getattr(found.robot.friction, side).coulomb / getattr(case.true.friction, side).coulomb
            for side in ('forward', 'backward')]
-    return replace(found.robot, uncertainty={**case.believed.uncertainty,
-                                             **uncertainty_of(found)}), float(
-        np.abs(np.array(off) - 1.0).max())
+    return with_friction_of(found.robot, found), float(np.abs(np.array(off) - 1.0).max())
 
 
 def try_job(job: Job) -> Outcome:

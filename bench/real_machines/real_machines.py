@@ -2,7 +2,6 @@
 """`python -m bench real-machines`: recordings of real machines, beside least squares."""
 
 from functools import partial
-import json
 from pathlib import Path
 import sys
 
@@ -11,6 +10,7 @@ from bench.real_machines.machines import MACHINES, ROOT, shared_data, VARIABLE
 from bench.real_machines.split import try_split
 from gms_flex_control.cli.options import add_verb, option, Verb
 from gms_flex_control.errors import ConfigError, did_you_mean
+from gms_flex_control.file_io import write_json
 
 DOCUMENT = ROOT / 'docs' / 'real_machines.md'
 
@@ -60,7 +60,6 @@ def write(args, outcomes, skipped):
         for name, outcome in firsts.items():
             pictures.draw(outcome, folder / pictures.NAMES[name])
     if args.out:
-        reported = json.dumps(table.as_json(outcomes, skipped), indent=2, allow_nan=False)
-        (args.out / 'results.json').write_text(f'{reported}\n', encoding='utf-8')
+        write_json(args.out / 'results.json', table.as_values(outcomes, skipped))
     if args.docs:
         table.into_document(DOCUMENT, outcomes, skipped, shown)

@@ -45,16 +45,18 @@ def _reported(outcome, machine):
         free = f'{" -> ".join(errors)} {unit}'
     named = [effect for effect, _ in outcome.named]
     reported = [effect if effect in outcome.added else f'{effect} (not added)' for effect in named]
-    known = [f'{one.words}: {_as_named(one, named, outcome)}' for one in machine.known]
+    known = [f'{one.words}: {" and ".join(_names_of(one, outcome)) or "-"}'
+             for one in machine.known]
     return [free, outcome.verdict, ', '.join(reported) or '-', '; '.join(known) or '-',
             f'{outcome.identify_seconds + outcome.seconds:.0f}']
 
 
-def _as_named(known, named, outcome):
-    """Return under which names an Outcome has what is Known, or '-'."""
-    found = [effect for effect in known.effects if effect in named]
-    found += [f'{effect} by identify' for effect in known.effects if effect in outcome.identified]
-    return ' and '.join(found) or '-'
+def _names_of(known, outcome):
+    """Return under which names (list of str) an Outcome has what is Known."""
+    named = {effect for effect, _ in outcome.named}
+    return [*(effect for effect in known.effects if effect in named),
+            *(f'{effect} by identify' for effect in known.effects
+              if effect in outcome.identified)]
 
 
 def as_text(table):
@@ -105,8 +107,7 @@ def _short(outcomes):
         named = [form.format(f'**{effect}**' if effect in known else effect)
                  for effect, form in named]
         named += [] if outcome.named else [outcome.verdict]
-        missed = [one.words for one in machine.known
-                  if not {*one.effects} & {*outcome.identified, *(n for n, _ in outcome.named)}]
+        missed = [one.words for one in machine.known if not _names_of(one, outcome)]
         cells = [', '.join(named), *([f'missed: {", ".join(missed)}'] if missed else [])]
         title = row[0] if outcome.machine != last else outcome.split
         better = row[5 if outcome.bands[0].chosen < outcome.bands[0].library else 4]
@@ -131,15 +132,8 @@ def into_document(path, outcomes, skipped, pictures):
                            flags=re.DOTALL), encoding='utf-8')
 
 
-def as_json(outcomes, skipped):
-    """Return everything for machines; what is not finite is None. SI units."""
-    def plain(value):
-        if isinstance(value, dict):
-            return {str(key): plain(one) for key, one in value.items() if key != 'pictured'}
-        if isinstance(value, (list, tuple)):
-            return [plain(one) for one in value]
-        if isinstance(value, (str, bool, int)) or value is None:
-            return value
-        return float(value) if math.isfinite(value) else None
-    return {'skipped': list(skipped), 'outcomes': [
-        plain(asdict(one)) | {'ratio': [band.ratio for band in one.bands]} for one in outcomes]}
+def as_values(outcomes, skipped):
+    """Return everything for `write_json`, in SI units."""
+    return {'skipped': skipped, 'outcomes': [
+        {name: value for name, value in asdict(one).items() if name != 'pictured'}
+        | {'ratio': [band.ratio for band in one.bands]} for one in outcomes]}

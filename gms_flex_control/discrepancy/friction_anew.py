@@ -19,7 +19,7 @@ from gms_flex_control.effects.base import Stage, Term
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.identification.identify import identify, Options
-from gms_flex_control.identification.output import KNOWN_BY, uncertainty_of
+from gms_flex_control.identification.output import with_friction_of
 from gms_flex_control.params.key import SMALLEST
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -127,6 +127,4 @@ def _identified(recordings, robot, beside, widened):
     """Return a robot with friction as identified beside effects, and how well that is known."""
     found = identify(recordings, replace(robot, effects=(*robot.effects, *beside)),
                      options=Options(widened=widened))
-    known = {key: sd for key, sd in robot.uncertainty.items() if key[0] not in KNOWN_BY}
-    known |= {key: sd for key, sd in uncertainty_of(found).items() if key[0] in KNOWN_BY}
-    return replace(robot, friction=found.robot.friction, uncertainty=known)
+    return with_friction_of(robot, found)

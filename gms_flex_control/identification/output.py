@@ -1,6 +1,7 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Files for machines: report.json, and friction.yaml for controller, plant and tools."""
 
+from dataclasses import replace
 import math
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from gms_flex_control import __version__
 from gms_flex_control.data.conditions import NAME, with_found
 from gms_flex_control.file_io import plain, write_text
 from gms_flex_control.identification import outcome
-from gms_flex_control.params.robot import UNCERTAIN
+from gms_flex_control.params.robot import RobotParams, UNCERTAIN
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values, wrapped
 import numpy as np
@@ -114,6 +115,13 @@ def uncertainty_of(identification: outcome.Identification) -> dict[tuple[str, st
                 values[kind, result.joint] = float(np.clip(
                     np.median(sizes), _LEAST_SD * usual, _MOST_SD * usual))
     return values
+
+
+def with_friction_of(robot: RobotParams, identification: outcome.Identification) -> RobotParams:
+    """Return a robot with the friction identified, known as well as its intervals say."""
+    known = {key: sd for key, sd in robot.uncertainty.items() if key[0] not in KNOWN_BY}
+    known |= {key: sd for key, sd in uncertainty_of(identification).items() if key[0] in KNOWN_BY}
+    return replace(robot, friction=identification.robot.friction, uncertainty=known)
 
 
 def _uncertainty_of_arm(identification):
