@@ -10,7 +10,7 @@ import subprocess
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.simulated import read_plan
-from gms_flex_control.schema.files import load_robot
+from gms_flex_control.schema.files import load_robot, save_values
 import numpy as np
 from processes import environment_of, run_tool, TOOL
 import pytest
@@ -19,13 +19,6 @@ pytestmark = pytest.mark.fast
 
 CONFIG = Path(__file__).parents[1] / 'config'
 ROBOT, CONTROLLER = CONFIG / 'robot.yaml', CONFIG / 'controller.yaml'
-
-
-def parameters(path, text):
-    """Write ``text`` as the parameters of all nodes; return the path."""
-    path.write_text('/**:\n  ros__parameters:\n' + ''.join(
-        f'    {line}\n' for line in text.splitlines()))
-    return path
 
 
 @pytest.fixture
@@ -105,8 +98,9 @@ def test_several_motions_and_modes_make_a_bag_each(simulate):
 
 def test_an_identified_friction_completes_the_robot(simulate, tmp_path):
     """Later files win, for plant and model; as with a single file that holds both."""
-    friction = parameters(tmp_path / 'friction.yaml', 'friction: {joint1: {forward: '
-                          '{static: 0.2, coulomb: 0.18}}}')
+    friction = tmp_path / 'friction.yaml'
+    save_values({'friction.joint1.forward.static': 0.2,
+                 'friction.joint1.forward.coulomb': 0.18}, friction)
     both = tmp_path / 'both.yaml'
     both.write_text(ROBOT.read_text().replace('static: 0.10787', 'static: 0.2').replace(
         'coulomb: 0.09393', 'coulomb: 0.18'))

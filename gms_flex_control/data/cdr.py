@@ -117,10 +117,6 @@ def pack_joint_states(names, stamps, position, velocity=None, effort=None) -> li
     stamps = np.asarray(stamps, dtype=np.int64)
     columns = {name: np.asarray(values, dtype=float) for name, values in zip(
         VALUES, (position, velocity, effort), strict=True) if values is not None}
-    for name, values in columns.items():
-        if values.shape != (len(stamps), len(names)):
-            raise BagError(f'{name} has shape {values.shape}, expected '
-                           f'{(len(stamps), len(names))} for {len(names)} names')
     counts = tuple(len(names) if name in columns else 0 for name in VALUES)
     dtype, template = _joint_state_template(tuple(names), counts)
     buffer = bytearray(template * len(stamps))
