@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from discrepancy_runs import driven_motion, rms_left
 from gms_flex_control.discrepancy.motion import make_motion
-from gms_flex_control.discrepancy.null_simulation import null_simulation
+from gms_flex_control.discrepancy.null_simulation import null_readings
 from gms_flex_control.discrepancy.residuals import cleared, drive_torque, unexplained
 from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.dynamics import chain
@@ -81,7 +81,7 @@ def test_a_rotor_couples_through_a_rigid_joint_in_the_plant_as_in_the_fit(ideal_
     robot = replace(ideal_robot, arm=arm, motors=(ideal_robot.motors[0], ''), effects=(EffectSpec(
         name='motor_inertia_coupling', joint='joint2', values=(0.005,)),))
     constants = plant.constants_of(robot)
-    again = null_simulation(driven_motion(ideal_robot, gains), constants, np.random.default_rng(0))
+    again = null_readings(driven_motion(ideal_robot, gains), constants)(np.random.default_rng(0))
     with_it, without = (rms_left(again, one)[0] for one in (
         constants, plant.constants_of(replace(robot, effects=()))))
     assert with_it < 0.2 * without
@@ -92,7 +92,7 @@ def test_friction_acts_between_joint_and_base_along_a_motion_as_in_the_plant(ide
     robot = replace(ideal_robot, effects=(EffectSpec(
         name='base_flexibility', joint='joint1', values=(4.3, 0.35, 0.03)),))
     motion, constants = driven_motion(robot, gains), plant.constants_of(robot)
-    again = null_simulation(motion, constants, np.random.default_rng(0))
+    again = null_readings(motion, constants)(np.random.default_rng(0))
     with_it, without = (rms_left(again, one)[0]
                         for one in (constants, plant.constants_of(ideal_robot)))
     assert with_it < 0.1 * without
@@ -118,7 +118,7 @@ def test_the_base_bends_under_the_torque_that_is_given(ideal_robot, gains):
         robot = replace(ideal_robot, effects=effects)
         motion, constants = driven_motion(robot, gains), plant.constants_of(robot)
         left += [rms_left(one, constants)[0] for one in (
-            motion, null_simulation(motion, constants, np.random.default_rng(0)))]
+            motion, null_readings(motion, constants)(np.random.default_rng(0)))]
     assert max(left) < 1.5 * left[0]
 
 

@@ -8,7 +8,7 @@ from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, driven_motion, likelihood_of
 from gms_flex_control.discrepancy.fitting import fit, normal_equations
 from gms_flex_control.discrepancy.likelihood import Likelihood
-from gms_flex_control.discrepancy.null_simulation import is_followed, null_simulation
+from gms_flex_control.discrepancy.null_simulation import is_followed, null_readings
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.params.robot import EffectSpec, with_effects
 from gms_flex_control.simulation import plant
@@ -72,7 +72,7 @@ def test_fresh_clean_runs_have_unit_variance(likelihood, robot):
     """Of another seed than those the measure was taken from; so is the recording itself."""
     zero = np.zeros(len(likelihood.nuisances))
     constants, whitening = likelihood.constants(robot, zero), likelihood.whitenings[0]
-    fresh = null_simulation(likelihood.motions[0], constants, np.random.default_rng([0, 99]))
+    fresh = null_readings(likelihood.motions[0], constants)(np.random.default_rng([0, 99]))
     level = np.mean(likelihood.clean ** 2)  # the floor is white noise that is not in them
     for motion in (fresh, likelihood.motions[0]):
         rows = whitening.rows_of(unexplained(motion, constants))

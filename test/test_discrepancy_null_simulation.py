@@ -8,7 +8,7 @@ from core_runs import padded, single_axis
 from discrepancy_runs import as_believed, driven_motion, rms_left
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
-from gms_flex_control.discrepancy.null_simulation import null_simulation
+from gms_flex_control.discrepancy.null_simulation import null_readings
 from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.assumed_robot import rigid_joints
@@ -26,7 +26,7 @@ def test_a_null_simulation_belongs_to_its_model_whatever_the_recording_held(idea
                EffectSpec(name='motor_torque_bias', joint='joint2', values=(0.01,)))
     motion = driven_motion(replace(ideal_robot, effects=effects), gains)
     constants = plant.constants_of(ideal_robot)
-    again = null_simulation(motion, constants, np.random.default_rng(0))
+    again = null_readings(motion, constants)(np.random.default_rng(0))
     before, after = (rms_left(one, constants) for one in (motion, again))
     assert before[0] > 3e-3 and before[3] > 9e-3
     assert np.all(after < 0.1 * before.max())
@@ -62,7 +62,7 @@ def test_a_rigid_axis_is_held_on_its_motion_wherever_its_inertia_stands(inertia)
     motion = make_motion(make_samples(
         robot.joints, time, 2e-3, np.repeat(angle[:, None, None], 2, axis=1), command[:, None],
         np.zeros(len(time)), True, 'sine'))
-    again = null_simulation(motion, plant.constants_of(robot), np.random.default_rng(0))
+    again = null_readings(motion, plant.constants_of(robot))(np.random.default_rng(0))
     assert np.abs(again.samples.readings - motion.samples.readings).max() < 1e-3
 
 
@@ -84,7 +84,7 @@ def test_links_that_carry_a_heavy_one_are_held_at_100_hz(ideal_robot):
     command = chain.inverse_dynamics(q, dq, ddq, arm) + np.tanh(dq / 0.01)
     motion = make_motion(make_samples(robot.joints, time, 0.01, np.stack([q, q], axis=1), command,
                                       np.zeros(len(time)), True, 'coupled'))
-    again = null_simulation(motion, plant.constants_of(robot), np.random.default_rng(0))
+    again = null_readings(motion, plant.constants_of(robot))(np.random.default_rng(0))
     assert np.abs(again.samples.readings - motion.samples.readings).max() < 0.05
 
 
@@ -93,7 +93,7 @@ def test_a_null_simulation_stands_where_the_recording_stood(seed, gravity):
     """Under a weight that makes it fall otherwise, and where a soft spring would let it creep."""
     case = make_case('clean', seed, gravity=gravity, duration=20.0)
     motion, robot = motion_of(case.recording, case.truth.robot), case.truth.robot
-    again = null_simulation(motion, plant.constants_of(case.nominal), np.random.default_rng(0))
+    again = null_readings(motion, plant.constants_of(case.nominal))(np.random.default_rng(0))
     assert np.abs(again.states - motion.states)[:, [0, 3]].max() < 0.02
     assert motion.standing[motion.time > 1.0].mean() > 0.01
     standing = motion.standing & again.standing

@@ -7,7 +7,7 @@ from bench.hidden_arms.wrong_links import base_values, friction_of, hidden_arm, 
 from gms_flex_control.data.conditions import Conditions, with_conditions
 from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.discrepancy.motion import motion_of
-from gms_flex_control.discrepancy.null_simulation import null_simulation
+from gms_flex_control.discrepancy.null_simulation import null_readings
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.errors import BagError, ConfigError, IdentificationError
 from gms_flex_control.identification import assumed_robot
@@ -182,7 +182,7 @@ def test_discrepancy_takes_the_load_from_the_recording(hidden):
                   for one in (motion, replace(motion, samples=replace(
                       motion.samples, load=None))))
     assert np.all(left[1:] < 0.3 * bare[1:]), (left, bare)  # the first joint is vertical
-    again = null_simulation(motion, constants, np.random.default_rng(0))
+    again = null_readings(motion, constants)(np.random.default_rng(0))
     assert again.samples.load is motion.samples.load
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import quantum
-from gms_flex_control.discrepancy.motion import make_motion, Motion
+from gms_flex_control.discrepancy.motion import make_motion
 from gms_flex_control.discrepancy.nuisance import OF_SHAPE
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.samples import encoder_step
@@ -87,15 +87,11 @@ def simulate_along(states, command, supply, time, period, substeps, gains, const
         plant.advance(state, held[k], time[k], period, substeps, constants, work)
 
 
-def null_simulation(motion, constants, rng) -> Motion:
-    """Return the Motion that a model makes of a recording, read through like encoders."""
-    return null_readings(motion, constants)(rng)
-
-
 def null_readings(motion, constants) -> Callable:
     """
     Return a function that takes a generator and returns a null simulation, a Motion.
 
+    That is what a model makes of a recording, read through like encoders.
     All of them read the same run. SimulationError if the model runs away.
     """
     constants, samples = motion.carrying(constants), motion.samples
