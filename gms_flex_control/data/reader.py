@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag, namespace_of
+from gms_flex_control.data.clock import on_even_clock
 from gms_flex_control.data.conditions import conditions_of, with_conditions
 from gms_flex_control.data.recording import MOTOR_SUFFIX, Phase, Recording, Topics
 from gms_flex_control.data.series import names_of, Series
@@ -70,8 +71,8 @@ def _read(path, joints, motors, topics=None):
     joints, motors = series.resolved()
     series.note_others(joints, motors)
     begin, columns = _columns(path, series, motors)
-    recording = with_conditions(Recording(joints=joints, source=str(path), **columns),
-                                conditions_of(path), motors, series.require_names())
+    recording = on_even_clock(Recording(joints=joints, source=str(path), **columns))
+    recording = with_conditions(recording, conditions_of(path), motors, series.require_names())
     return recording, begin, bag, (phases, messages)
 
 

@@ -1,0 +1,76 @@
+# Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
+"""Samples that were taken at even times and stamped late get their times back; no others do."""
+
+from dataclasses import replace
+
+from gms_flex_control.data.clock import on_even_clock
+from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.writer import write_recording
+import numpy as np
+import pytest
+
+PERIOD = 0.004
+COUNT = 2.0 * np.pi / 2 ** 19
+
+
+def angle_at(time):
+    """Return a moving joint's angle as an encoder reads it [rad]."""
+    angle = 0.7 * np.sin(2.0 * time) + 0.1 * np.sin(11.0 * time)
+    return (COUNT * np.round(angle / COUNT))[:, None]
+
+
+def taken(time, stamps):
+    """Return a Recording of samples at times (T,) with other stamps (T,)."""
+    return Recording(joints=('a',), time=stamps - stamps[0], source='a bag',
+                     q_link=angle_at(time), tau_motor=angle_at(time))
+
+
+def even(samples=5000):
+    return PERIOD * np.arange(samples)
+
+
+@pytest.mark.parametrize('lateness', [0.02, 0.1, 0.25])
+def test_late_stamps_of_even_samples_are_seen_through(lateness):
+    """Some samples are lost, and the clock that stamps them is 20 ppm off."""
+    rng = np.random.default_rng(1)
+    kept = rng.random(5000) > 0.003
+    time = even()[kept]
+    stamps = time * 1.00002 + PERIOD * np.abs(rng.normal(0.0, lateness, len(time)))
+    stamps = np.maximum.accumulate(stamps) + 1e-9 * np.arange(len(time))
+    found = on_even_clock(taken(time, stamps)).time
+    steps = np.diff(found) / PERIOD
+    np.testing.assert_array_equal(np.rint(steps), np.rint(np.diff(time) / PERIOD))
+    np.testing.assert_allclose(steps, np.rint(steps), rtol=1e-4)
+    again = on_even_clock(replace(taken(time, stamps), time=found))
+    assert again.time is found or np.array_equal(again.time, found)
+
+
+def test_stamps_that_are_true_stay():
+    """Even ones to the bit; those of a loop that samples when it comes to it as well."""
+    rng = np.random.default_rng(2)
+    uneven = np.cumsum(PERIOD * rng.uniform(0.8, 1.4, 5000))
+    for time in (even(), even()[rng.random(5000) > 0.01], uneven, even() + 0.3 * PERIOD * (
+            rng.random(5000) - 0.5)):
+        recording = taken(time, time)
+        assert on_even_clock(recording) is recording
+
+
+def test_a_joint_that_stands_says_nothing_of_its_clock():
+    stamps = even() + np.abs(np.random.default_rng(3).normal(0.0, 0.1 * PERIOD, 5000))
+    still = replace(taken(even(), stamps), q_link=np.zeros((5000, 1)))
+    assert on_even_clock(still) is still
+
+
+def test_a_pause_stays_as_long_as_it_was():
+    time = np.concatenate([even(2000), 5.0 * PERIOD * 1000 + even(2000)])
+    stamps = time + np.abs(np.random.default_rng(4).normal(0.0, 0.05 * PERIOD, 4000))
+    found = on_even_clock(taken(time, stamps)).time
+    np.testing.assert_allclose(found, time, atol=1e-3 * PERIOD)
+
+
+def test_a_bag_is_read_so(tmp_path):
+    stamps = even() + np.abs(np.random.default_rng(5).normal(0.0, 0.1 * PERIOD, 5000))
+    write_recording(tmp_path / 'bag', taken(even(), stamps))
+    steps = np.diff(read_recording(tmp_path / 'bag', ['a']).time)
+    np.testing.assert_allclose(steps, steps.mean(), rtol=1e-6)
