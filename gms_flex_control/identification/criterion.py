@@ -28,7 +28,7 @@ from gms_flex_control.identification.objective import (
 from gms_flex_control.identification.outcome import CONFIDENT
 from gms_flex_control.identification.prediction_error import (
     coulomb_viscous,
-    free_run_error,
+    free_run_squares,
     simple_free,
 )
 from gms_flex_control.identification.selection import JointFit
@@ -80,7 +80,7 @@ class _Squares(NamedTuple):
     """Mean squares of errors of a fit."""
 
     torque: np.ndarray  # (B,), what each block of time adds to that of torque [N^2 m^2]
-    free: float         # of free simulation [rad^2]; NaN if no segment is long enough
+    free: np.ndarray    # (R,), of each free run [rad^2]; none if no segment is long enough
 
 
 def choose_fit(objective: Objective, fit: JointFit, step: float) -> Choice:
@@ -151,19 +151,18 @@ class _Criteria:
         penalty = self._penalty(looks[0])
         found, least = ([self._squares(look, *one(look)) for look in looks]
                         for one in (fitted, self.simple))
-        if not penalty * np.nanmax(_errors(found) / _errors(least)) < WORTH:
+        if not penalty * np.nanmax(_ratios(found, least)) < WORTH:
             return False
-        # less torque is missed than blocks differ by; free runs do not say so
-        less = least[0].torque - penalty ** 2 * found[0].torque
+        # a smaller share of torque is missed than blocks differ by; free runs do not say so
+        less = np.log(least[0].torque / (penalty ** 2 * found[0].torque))
         return looks[0].out is not everything or len(less) > 1 and np.mean(
             less) > CONFIDENT * np.std(less, ddof=1) / np.sqrt(len(less))
 
     def clearly_better(self) -> bool:
         """Return whether the fit of the torque is far better there, and little worse freely."""
         looks = self.trials[-1]
-        torque, free = np.divide(*(
-            _errors([self._squares(look, *one(look)) for look in looks])
-            for one in (self.by_torque, self.by_innovations)))
+        torque, free = _ratios(*([self._squares(look, *one(look)) for look in looks]
+                                 for one in (self.by_torque, self.by_innovations)))
         return torque < _FAR and not free > _LITTLE
 
     def _by_innovations(self, look):
@@ -190,8 +189,9 @@ class _Criteria:
         """
         plain = coulomb_viscous(self._objective, self._step, look.fitted)
         tried = [simple_free(plain, factor * self._step) for factor in _YIELDS]
-        found = [np.nanprod(_errors([self._squares(look, *pair)])) for pair in tried]
-        return tried[int(np.argmin(found))]
+        found = [self._squares(look, *pair) for pair in tried]
+        return tried[int(np.argmin([one.torque.sum() * (np.mean(one.free) if len(one.free) else 1)
+                                    for one in found]))]
 
     def finished(self, kind) -> Choice:
         """Return the Choice of a kind, fitted to all data."""
@@ -224,9 +224,8 @@ class _Criteria:
     def _squares(self, look, coordinates, free):
         """Return the _Squares where a look judges."""
         theta, error = coordinates.parameters(free), self._error(look.out)
-        return _Squares(
-            np.bincount(error.block, error(theta) ** 2) / len(error.block),
-            free_run_error(self._objective, theta, look.out) ** 2)
+        return _Squares(np.bincount(error.block, error(theta) ** 2) / len(error.block),
+                        free_run_squares(self._objective, theta, look.out))
 
 
 def _trials(bundle):
@@ -262,9 +261,16 @@ def _belief(coordinates, free):
     return prior
 
 
-def _errors(squares):
-    """Return the errors of torque and of free simulation (2,) of _Squares, NaN left out."""
-    rows = np.array([[one.torque.sum(), one.free] for one in squares])
-    known = np.isfinite(rows)
-    count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
-    return np.sqrt(np.where(known, rows, 0.0).sum(axis=0) / count)
+def _ratios(found, least):
+    """
+    Return errors of torque and of free runs (2,) of _Squares over those of others, or NaN.
+
+    A run that slips, or stands, says no more than any other: beyond the mean error each counts
+    by how many times as large it is.
+    """
+    torque = sum(one.torque.sum() for one in found) / sum(one.torque.sum() for one in least)
+    free, usual = (np.concatenate([one.free for one in several]) for several in (found, least))
+    if not len(usual):
+        return np.sqrt([torque, np.nan])
+    weight = 1.0 / (usual + np.mean(np.sqrt(usual)) ** 2)
+    return np.sqrt([torque, (weight @ free) / (weight @ usual)])

@@ -73,8 +73,14 @@ def simple_free(fit: np.ndarray, displacement: float) -> tuple[Coordinates, np.n
 
 def free_run_error(objective: Objective, theta: np.ndarray, chosen: Callable) -> float:
     """Return the rms error of free simulations of HORIZON of chosen samples [rad]; NaN if none."""
-    period, joint = objective.bundle.period, objective.joint
-    horizon, stride, total, count = round(HORIZON / period), round(_STRIDE / period), 0.0, 0
+    squares = free_run_squares(objective, theta, chosen)
+    return float(np.sqrt(np.mean(squares))) if len(squares) else np.nan
+
+
+def free_run_squares(objective: Objective, theta: np.ndarray, chosen: Callable) -> np.ndarray:
+    """Return mean squared errors of free simulations of HORIZON of chosen samples (R,) [rad^2]."""
+    period, joint, squares = objective.bundle.period, objective.joint, []
+    horizon, stride = round(HORIZON / period), round(_STRIDE / period)
     for segment in objective.bundle.segments:
         starts = max((len(segment.angle) - 1 - horizon - stride) // stride + 1, 0)
         keep = chosen(segment) & segment.tested[:, joint]
@@ -86,9 +92,8 @@ def free_run_error(objective: Objective, theta: np.ndarray, chosen: Callable) ->
             measured = segment.angle[rows, joint]
             known = np.isfinite(measured) & keep[rows]
             if known.all():
-                total += np.sum((predicted[start] - measured) ** 2)
-                count += horizon
-    return float(np.sqrt(total / count)) if count else np.nan
+                squares.append(np.mean((predicted[start] - measured) ** 2))
+    return np.array(squares)
 
 
 def held_out_errors(objective: Objective, theta: np.ndarray, simple: np.ndarray,
