@@ -215,20 +215,23 @@ def joints_left(likelihood, model, free) -> tuple:
 
 def findings_of(likelihood, found, worths, held_out) -> list:
     """Return a Finding for each Worth; ``main`` ones lessen held-out torque by what matters."""
-    models = posterior(found.tried, likelihood.known)
+    models, samples = posterior(found.tried, likelihood.known), likelihood.motions[0].samples
     whole = max(found.before.model.cost - found.best.model.cost, 1e-12)
     beside = {other.key: other.gain for other in found.dictionary.ranked(
         found.best.model, found.best.columns, thresholds.PLAUSIBLE)} if worths else {}
     out = []
     for one in worths:
-        before, after, main = _lessened(likelihood, found, one, held_out)
+        before, after, matters = _lessened(likelihood, found, one, held_out)
         spec = found.best.model.robot.effects[one.index]
         others, kind = _rivals(found, one, spec, beside), find(spec.name)
+        custom = kind.is_custom(spec.values, samples.period, samples.commanded)
+        if kind.of_recording and not (matters or custom):
+            continue
         alike = {(name, joint) for name, joint, share in others if share > _ALIKE or (
             name in kind.similar and share > kind.declared_from)}
         out.append(Finding(
             effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),
-            main=main, torque=one.torque,
+            main=matters and not custom, torque=one.torque,
             share=min(one.loss / whole, 1.0), score=one.evidence, held_out=one.gain,
             probability=float(sum(mass for names, mass in models if spec.key in names)),
             runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
@@ -236,7 +239,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
             indistinguishable_from=tuple(sorted(alike)),
             discriminated_by=kind.discriminated_by if others else '',
             evidence=evidence_of(one, others), residual=Residual(before, after)))
-    return [one for one in out if one.main or not find(one.effect).of_recording]
+    return out
 
 
 def _rivals(found, one, spec, beside):

@@ -112,6 +112,15 @@ class Effect(ABC):
     torque_acted = torque_recorded = None
 
     @staticmethod
+    def is_custom(values, period: float, commanded: bool) -> bool:
+        """
+        Return whether ``values`` are within what drives report differently, with nothing wrong.
+
+        Samples are a ``period`` [s] apart, their torques ``commanded`` or as drives report them.
+        """
+        return False
+
+    @staticmethod
     @abstractmethod
     def guesses(scales) -> list:
         """Return how the effect might act on a joint of Scales (guess.py), list of Guess."""

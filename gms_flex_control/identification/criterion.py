@@ -151,7 +151,8 @@ class _Criteria:
         penalty = self._penalty(looks[0])
         found, least = ([self._squares(look, *one(look)) for look in looks]
                         for one in (fitted, self.simple))
-        if not penalty * np.nanmax(_ratios(found, least)) < WORTH:
+        ratios = penalty * _ratios(found, least)
+        if not (np.nanmax(ratios) < 1.0 and np.exp(np.nanmean(np.log(ratios))) < WORTH):
             return False
         # a smaller share of torque is missed than blocks differ by; free runs do not say so
         less = np.log(least[0].torque / (penalty ** 2 * found[0].torque))

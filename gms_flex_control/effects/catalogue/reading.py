@@ -47,6 +47,8 @@ class LinkEncoderEccentricity(Term):
 
 
 _BEYOND = 1.0  # for how long the first and the last torque are held outside the recording [s]
+# samples about half a one and one: drives report the torque at an instant, or that which follows
+_CUSTOMARY = 0.2
 
 
 def torque_at_angles(torque, period, delay) -> np.ndarray:
@@ -88,6 +90,11 @@ class RecordingDelay(Term):
     parameters = (Parameter('delay', 's', 'by which all angles are older than the torques',
                             lower=-0.02, upper=0.02, typical=3e-3),)
     guesses = staticmethod(lambda s: linear(0.0005))
+
+    @staticmethod
+    def is_custom(values, period, commanded) -> bool:
+        return not commanded and any(
+            abs(values[0] / period - late) < _CUSTOMARY for late in (0.5, 1.0))
 
     @staticmethod
     def torque_acted(torque, period, values) -> np.ndarray:
