@@ -7,7 +7,7 @@ from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.truth import simulate_open
 from faulty import clipped, FAULTS, healthy, SIDES, taken
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.discrepancy.result import BAD_DATA, UNEXPLAINED
+from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.samples import faults_of
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import names
@@ -168,6 +168,24 @@ def test_torque_of_a_single_axis_that_was_recorded_late_is_named(is_measured):
     first = result.findings[0]
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
     assert first.values[0].value == pytest.approx(-2e-3, rel=0.05)
+
+
+@pytest.mark.parametrize('samples', [1, 2])
+def test_a_drive_that_reports_the_torque_which_begins_lacks_nothing(samples):
+    """One that is stamped earlier still does."""
+    robot, time = axis(rigid=True), 2e-3 * np.arange(10_001)
+    command = sum(size * np.sin(2.0 * np.pi * hertz * time[:-1])
+                  for size, hertz in ((0.3, 0.7), (0.3, 1.9), (0.15, 4.3)))
+    angle = simulate_open(robot, command[:, None])[:, 0]
+    result = find_discrepancy([Recording(
+        joints=robot.joints, time=time, q_link=angle + 1e-6 * np.random.default_rng(
+            4).standard_normal(angle.shape), source='early',
+        tau_motor=np.append(command[samples - 1:], np.zeros(samples))[:, None])], robot,
+        Options(most=1))
+    first, = result.minor if samples == 1 else result.findings
+    assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
+    assert first.values[0].value == pytest.approx(2e-3 * samples, rel=0.05)
+    assert result.verdict == (COMPLETE if samples == 1 else FOUND)
 
 
 def test_who_insists_is_answered(case):

@@ -56,3 +56,22 @@ def test_friction_that_falls_is_found_where_it_explains_little_but_always(drop, 
     found = identify([recorded(drop, NOISE, seed)], robot, options=Options(blocks=(1,)))
     sentences = ' '.join(found.joints[0].warnings)
     assert ('do not identify GMS friction' in sentences) is is_simple, sentences
+
+
+def test_friction_that_falls_is_found_though_few_moments_show_it():
+    """The axis is slow in 1.5 of 24 s: what is missed less is missed less there."""
+    robot, rng, period = single_axis(FRICTIONLESS, INERTIA), np.random.default_rng(5), 2e-3
+    time = np.arange(12_000) * period
+    slow = np.convolve(np.abs(time - 15.0) < 0.75, np.ones(250) / 250, mode='same')
+    rate = (1.0 - 0.97 * slow) * (4.0 * np.sin(2.0 * time) + 2.0 * np.sin(5.3 * time))
+    angle = np.cumsum(rate) * period
+    falling = np.sign(rate) * (COULOMB + FALLS_BY * np.exp(-(rate / 0.3) ** 2))
+    torque = INERTIA * np.gradient(rate, period) + falling + VISCOUS * rate
+    torque = np.concatenate([torque[:1], 0.5 * (torque[1:] + torque[:-1])])
+    found = identify([Recording(
+        joints=('axis',), time=time, source='turned', q_link=angle[:, None],
+        tau_motor=(torque + 0.01 * rng.standard_normal(len(time)))[:, None])], robot,
+        options=Options(blocks=(1,)))
+    friction = found.robot.friction.forward
+    assert friction.static[0] - friction.coulomb[0] == pytest.approx(FALLS_BY, rel=0.2)
+    assert 'do not identify GMS friction' not in ' '.join(found.joints[0].warnings)

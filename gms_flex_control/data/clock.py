@@ -27,12 +27,12 @@ def on_even_clock(recording: Recording) -> Recording:
     Of lost samples the times stay free. Stamps that are the true times of uneven samples stay, as
     those do of angles too coarse or too still to show the difference.
     """
-    stamps = recording.time
-    if len(stamps) < _FEWEST:
+    stamps, period = recording.time, recording.period
+    if len(stamps) < _FEWEST or np.abs(np.diff(stamps) - period).max() < _EVEN * period:
         return recording
     slots, period = _slots(stamps)
-    offset, even = np.mean(stamps - period * slots), period * slots
-    if np.abs(stamps - offset - even).max() < _EVEN * period:
+    even = period * slots
+    if np.ptp(stamps - even) < _EVEN * period:
         return recording
     angles = [one for one in (*recording.q_link.T, *recording.q_motor.T)
               if np.isfinite(one).sum() > _FEWEST]

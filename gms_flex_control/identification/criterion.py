@@ -151,11 +151,11 @@ class _Criteria:
         penalty = self._penalty(looks[0])
         found, least = ([self._squares(look, *one(look)) for look in looks]
                         for one in (fitted, self.simple))
-        ratios = penalty * _ratios(found, least)
-        if not (np.nanmax(ratios) < 1.0 and np.exp(np.nanmean(np.log(ratios))) < WORTH):
+        if not penalty * np.nanmax(_ratios(found, least)) < WORTH:
             return False
-        # a smaller share of torque is missed than blocks differ by; free runs do not say so
-        less = np.log(least[0].torque / (penalty ** 2 * found[0].torque))
+        # less torque is missed than blocks differ by; free runs do not say so
+        own, torque = least[0].torque, penalty ** 2 * found[0].torque
+        less = _weights(own, torque) * (own - torque)
         return looks[0].out is not everything or len(less) > 1 and np.mean(
             less) > CONFIDENT * np.std(less, ddof=1) / np.sqrt(len(less))
 
@@ -266,12 +266,17 @@ def _ratios(found, least):
     """
     Return errors of torque and of free runs (2,) of _Squares over those of others, or NaN.
 
-    A run that slips, or stands, says no more than any other: beyond the mean error each counts
-    by how many times as large it is.
+    A run that slips, or stands, says no more than any other.
     """
     torque = sum(one.torque.sum() for one in found) / sum(one.torque.sum() for one in least)
     free, usual = (np.concatenate([one.free for one in several]) for several in (found, least))
     if not len(usual):
         return np.sqrt([torque, np.nan])
-    weight = 1.0 / (usual + np.mean(np.sqrt(usual)) ** 2)
+    weight = _weights(usual, free)
     return np.sqrt([torque, (weight @ free) / (weight @ usual)])
+
+
+def _weights(squares, others):
+    """Return weights of squares of two fits (K,): beyond the mean error each counts by shares."""
+    both = 0.5 * (squares + others)
+    return 1.0 / (both + np.mean(np.sqrt(both)) ** 2)
