@@ -5,7 +5,7 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.identification.assumed_robot import at_own_rate, rigid_joints
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.robust_regression import regress, robust, weighting_of
-from gms_flex_control.identification.segments import segments_of, while_moved
+from gms_flex_control.identification.segments import half_count, segments_of, while_moved
 import numpy as np
 import pytest
 
@@ -90,3 +90,17 @@ def test_counts_of_an_encoder_are_not_taken_for_a_slow_source():
     recording = Recording(joints=('axis',), time=time, source='counts', q_link=q[:, None],
                           tau_motor=np.round(np.sin(time) / 0.02)[:, None])
     assert at_own_rate(recording) is recording
+
+
+@pytest.mark.parametrize(('count', 'noise', 'seen'), [
+    (3e-4, 0.0, True), (3e-4, 10.0, False), (1e-6, 0.0, False), (1e-6, 0.3, False)])
+def test_an_encoder_counts_also_where_a_quick_joint_repeats_no_reading(count, noise, seen):
+    """Noise of ten counts hides them, and so does motion by thousands from sample to sample."""
+    time = np.arange(0.0, 20.0, 0.004)
+    q = 1.6 * np.sin(2.5 * time) + noise * count * np.random.default_rng(7).standard_normal(5000)
+    read = count * np.round(q / count)
+    assert np.mean(np.diff(read) == 0.0) < 0.02
+    recording = Recording(joints=('axis',), time=time, source='quick', q_link=read[:, None],
+                          tau_motor=np.zeros((5000, 1)))
+    half, = half_count(recording, rigid_joints(('axis',)))
+    assert half == pytest.approx(0.5 * count if seen else 0.0, rel=1e-6)

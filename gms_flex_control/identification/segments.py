@@ -29,6 +29,8 @@ _EVEN = 0.02           # stamps within this part of a period of an even grid cou
 _TURNING = 0.02        # of the usual rate: so slow is a reversal
 _HELD, _MOVED = 0.02, 0.1  # of its widest travel: less is a joint held, more is one moved
 _STANDING = 3.0        # encoder steps per 50 ms: slower is no motion for a fit of the torque
+_REPEATS = 0.02        # of readings that are those before: an encoder that counts
+_QUICK = 100.0         # counts in a sample, as a rule: quicker motion hardly shows them
 
 
 class TorqueWarning(UserWarning):
@@ -310,8 +312,10 @@ def half_count(recording: Recording, robot: RobotParams) -> np.ndarray:
         if step > 0.0:
             counts = np.diff(values) / step
             whole = np.abs(counts - np.round(counts)) < 0.02
-            repeats = np.mean(counts == 0.0)
-            if whole.mean() > 0.99 and repeats > 0.02:
+            repeats = np.mean(counts == 0.0) > _REPEATS
+            # a quick joint repeats none; where it is far quicker, counts do not matter
+            quick = np.median(np.abs(counts)) < _QUICK and analysis.white_noise_of(values) < step
+            if whole.mean() > 0.99 and (repeats or quick):
                 half[j] = 0.5 * step
     return half
 
