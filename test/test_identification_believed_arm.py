@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 
+from bench import coverage
 from bench.hidden_robots.motions import draw_reference
 from discrepancy_runs import driven
 from gms_flex_control.identification.arm_fit import with_axis
@@ -43,6 +44,15 @@ def test_friction_is_that_of_the_joint_where_a_link_weighs_less_than_described(h
 def test_recordings_show_the_arm_that_is_hardly_known():
     found = believed([pendulum()], described(1.3, gravity=0.3, inertia=0.3))
     assert moment(found.arm) == pytest.approx(PULL, rel=5e-3)
+
+
+def test_a_soft_block_that_swings_along_with_a_sinusoid_makes_no_link_lighter():
+    """It slips at the turning points, if at all: its torque goes with the angle, as inertia's."""
+    seed = 143  # swings by 0.187 rad, a quarter of its friction yields at 0.195 rad
+    robot = coverage.axis(seed)
+    recording, _ = coverage.recorded('sinusoids', robot, robot, seed)
+    found = believed([recording], robot).arm
+    assert found.inertia == robot.arm.inertia and found.motor_inertia == robot.arm.motor_inertia
 
 
 @pytest.mark.parametrize(('sd', 'within'), [(0.1, 3e-3), (0.015, 0.02)])

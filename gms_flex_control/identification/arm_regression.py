@@ -28,7 +28,7 @@ from gms_flex_control.identification.arm_differences import (
     relative_change,
     Unknowns,
 )
-from gms_flex_control.identification.arm_rows import described_scales, rows_of
+from gms_flex_control.identification.arm_rows import described_scales, rows_of, SLIPS
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     Base,
@@ -122,6 +122,7 @@ class ArmRegression:
     """
 
     _settles = True   # scales have to
+    _slips = SLIPS
 
     def __init__(self, recordings, robot, sides, arm, base, slopes_of=None, loads=None,
                  friction=None, spring_sd=0.0):
@@ -132,7 +133,7 @@ class ArmRegression:
         self._label = np.array([self._labels.index(one) for one in temperatures])
         self._rows, self._usual = rows_of(recordings, robot, sides, arm, base.lead, [
             carrying(slopes_of or arm, (loads or {}).get(r, one.operation.load))
-            for r, one in enumerate(recordings)], friction)
+            for r, one in enumerate(recordings)], friction, self._slips)
         n, scale_sd = arm.n_joints, np.max([one.scale_sd for one in recordings], axis=0)
         known = [one.operation.load for one in recordings if not _whole_load_unknown(one)]
         loads = {load and (load.mass, *load.com) for load in known}

@@ -35,7 +35,8 @@ from scipy.signal import lfilter
 
 _THINNING = 8       # samples of a smoothing window that are enough
 _STEP = 1e-5        # of a zero, for slopes [rad]
-_SLIPS = (0.001, 0.002, 0.004, 0.008)  # s at the usual rate: ways after which blocks slip
+SLIPS = (0.001, 0.002, 0.004, 0.008)  # s at the usual rate: ways after which blocks slip
+SPRINGY = (0.03, 0.12, 0.5, 2.0)  # likewise: soft blocks, along a sinusoid much like an inertia
 _LOW = (0.1, 0.2, 0.4)  # of the usual rate: how fast a joint leaves its friction at low speed
 _BETWEEN = 4        # steps from one sample to the next of a friction that jumps
 _LAG = 0.05         # by which that is late, F_c / C of common machines [s]
@@ -64,8 +65,13 @@ class Rows(NamedTuple):
     recording: np.ndarray  # (S,) int
 
 
-def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None) -> tuple:
-    """Return Rows of recordings, ``friction`` (T, n) subtracted, and usual rates; or a refusal."""
+def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None,
+            slips=SLIPS) -> tuple:
+    """
+    Return Rows of recordings, ``friction`` (T, n) subtracted, and usual rates; or a refusal.
+
+    ``slips`` are ways after which blocks slip, at the usual rate [s].
+    """
     cut = [(r, segment) for r, recording in enumerate(recordings)
            for segment in segments_of(recording, robot, sides)]
     if friction:
@@ -78,7 +84,7 @@ def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None) -> tu
     motors = coupled_motors(recordings)
     parts, used, several = [], 0, len(recordings) > 1
     for r, segment in pieces:
-        part = _segment_rows(segment, arm, lead, recordings[r], usual, motors,
+        part = _segment_rows(segment, arm, lead, recordings[r], (usual, slips), motors,
                              slopes_of[r] if several else None)
         if part is not None:
             parts.append((*part[:-1], part[-1] + used, np.full(len(part[-1]), r)))
@@ -91,7 +97,7 @@ def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None) -> tu
     return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True))), usual
 
 
-def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
+def _segment_rows(segment, arm, lead, recording, ways, motors, slopes_of):
     """Return what Rows has of a segment, blocks from 0; None of one too short for the low-pass."""
     every = 2 * (segment.window // (2 * _THINNING)) + 1
     window = max(max(segment.window, round(_SMOOTHED / recording.period)) // every, 1)
@@ -100,7 +106,7 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
     if len(angle) <= 4 * window:
         return None
     rate = np.ascontiguousarray(segment.rate[every:-every:every][:len(angle)])
-    friction, turning, coupled = _friction(segment, every, recording, usual, motors)
+    friction, turning, coupled = _friction(segment, every, recording, *ways, motors)
     torque = low_pass(torque, window)
     loaded = carrying(arm, recording.operation.load)
     if len(lead):
@@ -136,7 +142,7 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
                                           block))
 
 
-def _friction(segment, every, recording, usual, motors):
+def _friction(segment, every, recording, usual, slips, motors):
     """Return columns of friction (S, n, 8), of what lags behind it, and of coupled motors."""
     period = recording.period / _BETWEEN
     rate, angle = (_interpolated(one) for one in (segment.rate, filled(segment.angle)))
@@ -146,7 +152,7 @@ def _friction(segment, every, recording, usual, motors):
         return _weighted(columns[::_BETWEEN], every)
     friction = np.stack([weighted(friction_regressors(*one)) for one in zip(
         rate.T, usual, strict=True)], axis=1)
-    turning = np.stack([weighted(_turning(*one, period)) for one in zip(
+    turning = np.stack([weighted(_turning(*one, slips, period)) for one in zip(
         angle.T, rate.T, usual, strict=True)], axis=1)
     coupled = np.zeros((*friction.shape[:2], 2 * len(motors)))
     for k, m in enumerate(motors):
@@ -162,7 +168,7 @@ def _interpolated(values):
     return np.stack([np.interp(fine, rows, column) for column in values.T], axis=1)
 
 
-def _turning(angle, rate, usual, period):
+def _turning(angle, rate, usual, ways, period):
     """
     Return columns (S, K) of friction that depends on the way and the time before.
 
@@ -170,8 +176,8 @@ def _turning(angle, rate, usual, period):
     Presliding is that of blocks which slip after given ways, as strong as one likes (Maxwell
     slip), so that a joint may turn again before all of them slip; friction at low speed is late.
     """
-    slips, kept = np.empty((len(rate), len(_SLIPS))), np.exp(-period / _LAG)
-    _slip(angle, usual * np.array(_SLIPS), slips)
+    slips, kept = np.empty((len(rate), len(ways))), np.exp(-period / _LAG)
+    _slip(angle, usual * np.array(ways), slips)
     low = np.sign(rate)[:, None] * np.exp(-(rate[:, None] / (usual * np.array(_LOW))) ** 2)
     late, _ = lfilter([1.0 - kept], [1.0, -kept], low, axis=0, zi=kept * low[:1])
     return np.concatenate([slips, late], axis=1)

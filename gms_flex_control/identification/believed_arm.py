@@ -14,6 +14,7 @@ from gms_flex_control.data.recording import means_held, Recording
 from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.identification.arm_fit import two_sided
 from gms_flex_control.identification.arm_regression import ArmRegression, driven_arm
+from gms_flex_control.identification.arm_rows import SLIPS, SPRINGY
 from gms_flex_control.identification.assumed_robot import only_joints
 from gms_flex_control.identification.axis_fit import fit_stiffness
 from gms_flex_control.identification.inertial_parameters import (
@@ -151,14 +152,20 @@ class _WithinBelief(ArmRegression):
     """
     The regression with links, and springs, that are known: each within heavy-tailed priors.
 
-    Those of springs ``agreed`` (n,) of are normal.
+    Those of springs ``agreed`` (n,) of are normal. Soft blocks of friction swing along with a
+    sinusoid as an inertia does, so that they are left out of what is fitted, and judge it.
     """
 
     _settles = False
+    _slips = (*SLIPS, *SPRINGY)
+    _judges = False
 
     def __init__(self, recordings, robot, sides, arm, base, agreed, **options):
         super().__init__(recordings, robot, sides, arm, base, **options)
         self._agreed = agreed
+        rows, soft = self._rows, slice(len(SLIPS), len(self._slips))
+        self._soft = rows.turning[:, :, soft]
+        self._rows = rows._replace(turning=np.delete(rows.turning, soft, axis=2))
         self._memory = len(self._rows.block) / _DIFFERENT
         ten = np.where(np.arange(10) < 4, known_to(robot, 'gravity')[:, None],
                        known_to(robot, 'inertia')[:, None])
@@ -177,16 +184,21 @@ class _WithinBelief(ArmRegression):
             precision[part] *= self._memory
         return precision
 
+    def _own(self, j, chosen):
+        own = super()._own(j, chosen)
+        return np.concatenate([self._soft[chosen, j], own], axis=1) if self._judges else own
+
     def believed(self) -> Believed:
         """Return the arm as described, unless some torque is explained far better by another."""
         arm, at, springs = self._robot.arm, self._at, np.array(self._sides) == 'spring'
         found = replace(self.nearest[0], stiffness=np.where(
             springs, arm.stiffness / at.scale, arm.stiffness))
+        self._judges = True
         beside = self._unexplained()
         self._at = replace(at, links=self._links, scale=np.ones(len(at.scale)))
-        described, self._at = self._unexplained(), at
-        return Believed(found if np.any(beside < _SHOWN * described) else arm,
-                        self._delays(~springs))
+        if np.any(beside < _SHOWN * self._unexplained()):
+            arm, self._at = found, at
+        return Believed(arm, self._delays(~springs))
 
     def _delays(self, by_motors):
         """Return how much later than stamped torques of motors act (n,) [s], 0 unless shown."""
