@@ -26,6 +26,8 @@ STEADY = {'static': [0.108, 0.104], 'coulomb': [0.094, 0.090], 'velocity': [0.05
           'viscous': [0.066, 0.074], 'attraction': 1.5}
 YIELDS = [3e-4, 2e-3, 1e-2]
 OBSERVER, DRIFTING = 20.0, 2.0  # rad/s, s
+FINE, OFF = 256, 2e-5  # steps of the plant in a sample; of 0.2 to 0.4 rad of travel [rad]
+COUNT = 1e-9           # so small that readings are as exact as without [rad]
 
 
 def arm_of(kind, n):
@@ -159,16 +161,26 @@ def test_the_true_parameters_follow_the_plant_to_rounding(name):
     np.testing.assert_allclose(predicted, q - 0.5 * PERIOD * dq, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize('name', [name for name in CASES if 'effect' not in name])
+def test_where_encoders_count_a_plant_of_far_smaller_steps_is_followed(name):
+    """Viscous friction of the rate at the beginning of each sample would be 8e-5 off."""
+    case = replace(CASES[name], gain=0.0)
+    q, _ = case.driven(FINE)
+    predicted, _, _ = case.predict(q, half=COUNT)
+    np.testing.assert_allclose(predicted, q, rtol=0.0, atol=OFF)
+
+
+@pytest.mark.parametrize('half', [0.0, COUNT])
 @pytest.mark.parametrize(('name', 'tolerance'), [
     ('one joint', 1e-4), ('further torques', 1e-4), ('second of two decoupled', 1e-4),
     ('second of two coupled', 0.005), ('friction that an effect multiplies', 0.005)])
-def test_derivatives_are_those_of_the_innovation(name, tolerance):
+def test_derivatives_are_those_of_the_innovation(name, tolerance, half):
     """Central differences, each free number on its own, rms relative to that of the derivative."""
     case = CASES[name]
     angle, free, step = measured(case), case.free(case.joint), 3e-7
-    _, _, jacobian = case.predict(angle)
+    _, _, jacobian = case.predict(angle, half=half)
     for p, unit in enumerate(np.eye(len(free))):
-        up, down = (case.predict(angle, free + sign * step * unit)[1][:, case.joint]
+        up, down = (case.predict(angle, free + sign * step * unit, half)[1][:, case.joint]
                     for sign in (1, -1))
         slope = (down - up) / (2.0 * step)
         off = np.sqrt(np.mean((jacobian[:, p] - slope) ** 2) / np.mean(slope ** 2))
@@ -178,7 +190,7 @@ def test_derivatives_are_those_of_the_innovation(name, tolerance):
 def test_within_a_count_nothing_is_seen_and_nothing_corrected():
     case = CASES['one joint']
     q, _ = case.driven()
-    free, _, _ = replace(case, gain=0.0).predict(q)
+    free, _, _ = replace(case, gain=0.0).predict(q, half=COUNT)
     off = 0.4e-3 * np.sign(np.sin(50.0 * np.arange(len(q))))[:, None]
     off[0] = 0.0
     predicted, innovation, jacobian = case.predict(free + off, half=0.5e-3)
@@ -188,7 +200,7 @@ def test_within_a_count_nothing_is_seen_and_nothing_corrected():
 
 def test_outside_a_count_the_distance_to_it_is_seen():
     case = replace(CASES['one joint'], gain=0.0)
-    free, _, exact = case.predict(case.driven()[0])
+    free, _, exact = case.predict(case.driven()[0], half=COUNT)
     angle = free.copy()
     angle[1000:, 0] += 0.7e-3
     angle[2000:, 0] -= 1.4e-3

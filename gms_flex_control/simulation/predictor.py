@@ -132,10 +132,16 @@ def advance_tangents(j, a, displacement, d_displacement, velocity, d_dq, dt, sta
 
 
 @compiled_part
-def mobility(carried, links, work, out) -> None:
-    """Write the inverse of M between the ``carried`` joints, all others held, to ``out``."""
+def mobility(carried, resistance, links, work, out) -> None:
+    """
+    Write the inverse of M between the ``carried`` joints, all others held, to ``out``.
+
+    ``resistance`` (n,) is added to the diagonal, see `resist`.
+    """
     m = carried.shape[0]
     chain.mass_between(carried, links, work, out)
+    for a in range(m):
+        out[a, a] += resistance[carried[a]]
     for pivot in range(m):  # Gauss-Jordan; M is positive definite
         reciprocal = 1.0 / out[pivot, pivot]
         out[pivot, pivot] = 1.0
@@ -150,13 +156,46 @@ def mobility(carried, links, work, out) -> None:
 
 
 @compiled_part
-def accelerate(torque, factor, further, joint, q, dq, state, links, friction, work) -> None:
-    """Write accelerations under ``torque``, friction times ``factor`` (n,), and ``further``."""
+def accelerate(torque, factor, further, joint, period, q, dq, half, state, links, friction,
+               resistance, work) -> None:
+    """
+    Write accelerations under ``torque``, friction times ``factor`` (n,), and ``further``.
+
+    Where an encoder counts (``half`` above 0), viscous friction is that of the rate in the middle
+    of a sample. Taken at its beginning it passes for inertia, which noise hides, but no counts.
+    What it adds to M is written to ``resistance`` (n,) [kg m^2].
+    """
     gms.total(state, dq, friction, work.friction)
     for j in range(q.shape[0]):
         work.chain.tau[j] = torque[j] - factor[j] * work.friction[j]  # Eq. (1), link
+        row = gms.FORWARD if state.direction[j] > 0.0 else gms.BACKWARD
+        middle = 0.5 * period if half[j] > 0.0 else 0.0
+        resistance[j] = middle * factor[j] * friction.viscous[row, j]
     work.chain.tau[joint] += further
     chain.accelerations(q, dq, links, work.chain)
+    resist(resistance, links, work.chain)
+
+
+@compiled_part
+def resist(resistance, links, work) -> None:
+    """Change accelerations by M to those by M with ``resistance`` (n,) on its diagonal."""
+    n = resistance.shape[0]
+    columns, unit = np.zeros((n, n)), np.zeros(n)  # of the inverse, joint by joint
+    for j in range(n):
+        unit[j] = 1.0
+        chain.mass_solve(unit, links, work, columns[j])
+        unit[j] = 0.0
+        for i in range(j):  # Sherman and Morrison
+            take_off(columns[i], resistance[i], i, columns[j])
+        take_off(columns[j], resistance[j], j, work.acceleration)
+
+
+@compiled_part
+def take_off(column, resistance, j, out) -> None:
+    """Take off ``out`` (n,) what a ``resistance`` of joint ``j`` does, ``column`` of M^-1."""
+    share = resistance * out[j] / (1.0 + resistance * column[j])
+    for i in range(out.shape[0]):
+        out[i] -= share * column[i]
 
 
 @compiled_part
@@ -170,9 +209,13 @@ def advance_links(error, gains, period, q, dq, work) -> None:
 
 
 @compiled_part
-def torque_tangents(j, a, k, dq, factor, extra, state, directions, friction, d_torque, d_dq,
+def torque_tangents(j, a, k, rate, factor, extra, state, directions, friction, d_torque, d_dq,
                     out) -> None:
-    """Write the derivative of the torque on joint ``j`` at sample ``k`` into row a of ``out``."""
+    """
+    Write the derivative of the torque on joint ``j`` at sample ``k`` into row a of ``out``.
+
+    ``rate`` is that of its viscous friction.
+    """
     blocks, width = d_torque.shape[1:]
     row = gms.FORWARD if state.direction[j] > 0.0 else gms.BACKWARD
     viscous, rows = friction.viscous[row, j], PER_DIRECTION * row + VISCOUS
@@ -184,7 +227,7 @@ def torque_tangents(j, a, k, dq, factor, extra, state, directions, friction, d_t
                 out[a, p] -= d_torque[a, i, p]
     if a == 0:
         for p in range(width):
-            out[a, p] -= directions[rows, p] * dq[j]
+            out[a, p] -= directions[rows, p] * rate
     for p in range(width):
         out[a, p] *= factor[k, j]
     if a == 0:
@@ -199,7 +242,8 @@ def predict(angle, rate, torque, factor, extra, coefficients, period, links, fri
     """
     Predict one segment of a recording, with the derivatives of one joint's prediction.
 
-    Link equation (1) with Eqs. (2) to (5); semi-implicit as simulation.plant.
+    Link equation (1) with Eqs. (2) to (5); semi-implicit as simulation.plant, but for viscous
+    friction where encoders count, see `accelerate`.
 
     Parameters
     ----------
@@ -241,7 +285,7 @@ def predict(angle, rate, torque, factor, extra, coefficients, period, links, fri
     d_seen = np.zeros((m, width))
     d_displacement, d_level = np.zeros(width), np.zeros(width)
     d_torque = np.zeros((m, state.torque.shape[1], width))
-    yielding, seen = np.empty((m, m)), np.empty(m)
+    yielding, seen, resistance = np.empty((m, m)), np.empty(m), np.empty(n)
     for k in range(samples):
         for j in range(n):
             predicted[k, j] = at_sample(q[j], dq[j], period)
@@ -254,12 +298,14 @@ def predict(angle, rate, torque, factor, extra, coefficients, period, links, fri
             jacobian[k, p] = d_seen[0, p]
         if k == samples - 1:
             break
-        accelerate(torque[k], factor[k], further_torque(coefficients, extra[k]), joint, q, dq,
-                   state, links, friction, work)
+        accelerate(torque[k], factor[k], further_torque(coefficients, extra[k]), joint, period,
+                   q, dq, half, state, links, friction, resistance, work)
         if k % _SAME_POSE == 0:
-            mobility(carried, links, work.chain, yielding)
+            mobility(carried, resistance, links, work.chain, yielding)
         for a in range(m):
-            torque_tangents(carried[a], a, k, dq, factor, extra, state, directions, friction,
+            j = carried[a]
+            middle = 0.5 * period * work.chain.acceleration[j] if half[j] > 0.0 else 0.0
+            torque_tangents(j, a, k, dq[j] + middle, factor, extra, state, directions, friction,
                             d_torque, d_dq, d_push)
         advance_links(innovation[k], gains, period, q, dq, work)
         for a in range(m):
@@ -310,7 +356,7 @@ def simulate_freely(angle, rate, torque, factor, extra, coefficients, period, li
     """
     samples, n = angle.shape
     q, dq, free_q, free_dq = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    error, none = np.empty(n), np.zeros(n)
+    error, none, resistance = np.empty(n), np.zeros(n), np.empty(n)
     begin(angle, rate, torque[0], period, state, q, dq, friction)
     start = 0
     for k in range(samples - 1):
@@ -320,12 +366,13 @@ def simulate_freely(angle, rate, torque, factor, extra, coefficients, period, li
                 for j in range(n):
                     predicted[start, step, j] = at_sample(free_q[j], free_dq[j], period)
                 one_step(torque[k + step], factor[k + step], extra[k + step], coefficients, joint,
-                         none, gains, period, free_q, free_dq, freed, links, friction, work)
+                         none, gains, period, free_q, free_dq, half, freed, links, friction,
+                         resistance, work)
             start += 1
         for j in range(n):
             error[j] = outside(angle[k, j] - at_sample(q[j], dq[j], period), half[j])
         one_step(torque[k], factor[k], extra[k], coefficients, joint, error, gains, period, q, dq,
-                 state, links, friction, work)
+                 half, state, links, friction, resistance, work)
 
 
 @compiled_part
@@ -339,11 +386,11 @@ def copy_state(state, q, dq, freed, free_q, free_dq) -> None:
 
 
 @compiled_part
-def one_step(torque, factor, extra, coefficients, joint, error, gains, period, q, dq, state,
-             links, friction, work) -> None:
+def one_step(torque, factor, extra, coefficients, joint, error, gains, period, q, dq, half, state,
+             links, friction, resistance, work) -> None:
     """Advance links and blocks by one sample, in place."""
-    accelerate(torque, factor, further_torque(coefficients, extra), joint, q, dq, state, links,
-               friction, work)
+    accelerate(torque, factor, further_torque(coefficients, extra), joint, period, q, dq, half,
+               state, links, friction, resistance, work)
     advance_links(error, gains, period, q, dq, work)
     for j in range(q.shape[0]):
         gms.advance_joint(j, state, work.displacement[j], dq[j], period, friction)
