@@ -47,8 +47,8 @@ class LinkEncoderEccentricity(Term):
 
 
 _BEYOND = 1.0  # for how long the first and the last torque are held outside the recording [s]
-# samples about half a one and one: drives report the torque at an instant, or that which follows
-_CUSTOMARY = 0.2
+# samples: drives report the torque at an instant, or that which follows, half a one or one late
+_CUSTOMARY = 1.2
 
 
 def torque_at_angles(torque, period, delay) -> np.ndarray:
@@ -93,8 +93,7 @@ class RecordingDelay(Term):
 
     @staticmethod
     def is_custom(values, period, commanded) -> bool:
-        return not commanded and any(
-            abs(values[0] / period - late) < _CUSTOMARY for late in (0.5, 1.0))
+        return not commanded and 0.0 < values[0] < _CUSTOMARY * period
 
     @staticmethod
     def torque_acted(torque, period, values) -> np.ndarray:
