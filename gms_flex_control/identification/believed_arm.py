@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from gms_flex_control.data.recording import means_held, Recording
 from gms_flex_control.data.signal_analysis import rms
+from gms_flex_control.effects.catalogue.reading import RecordingDelay
 from gms_flex_control.identification.arm_fit import two_sided
 from gms_flex_control.identification.arm_regression import ArmRegression, driven_arm
 from gms_flex_control.identification.arm_rows import SLIPS, SPRINGY
@@ -35,6 +36,7 @@ _TORQUE_SD = 0.01   # of the scale of torques that are given in N m
 _LEAST_SD = 1e-4    # of a base parameter, as of a body of the whole mass: one of 0 has none
 _SHOWN = 0.9        # of the torque that links and friction leave, where links are as described:
 #                     described rightly they leave 0.97 and more, 1 % off 0.85 and less
+_CUSTOM_SHOWN = 0.97  # likewise, of all joints together, where half of all machines are so
 _AGREE = 3.0        # standard deviations between two sources of one number
 _BEYOND = 1.0       # for how long the first and the last torque act outside a recording [s]
 _OF_LINKS = ('mass', 'com', 'inertia', 'motor_inertia')
@@ -162,7 +164,8 @@ class _WithinBelief(ArmRegression):
 
     def __init__(self, recordings, robot, sides, arm, base, agreed, **options):
         super().__init__(recordings, robot, sides, arm, base, **options)
-        self._agreed = agreed
+        self._agreed, self._period = agreed, recordings[0].period
+        self._commanded = any(one.has_commands for one in recordings)
         rows, soft = self._rows, slice(len(SLIPS), len(self._slips))
         self._soft = rows.turning[:, :, soft]
         self._rows = rows._replace(turning=np.delete(rows.turning, soft, axis=2))
@@ -201,14 +204,20 @@ class _WithinBelief(ArmRegression):
         return Believed(arm, self._delays(~springs))
 
     def _delays(self, by_motors):
-        """Return how much later than stamped torques of motors act (n,) [s], 0 unless shown."""
-        late = np.zeros(len(by_motors))
+        """
+        Return how much later than stamped torques of motors act (n,) [s], 0 unless shown.
+
+        What is a custom of drives need not be shown as clearly, if all of them are taken together.
+        """
+        late, left = np.zeros(len(by_motors)), np.ones(len(by_motors))
         for j in np.flatnonzero(by_motors):
-            values, left = self._coefficients(j)
-            in_time = self._coefficients(j, slice(-1))[1]  # without the delay of the torque
-            if rms(left) < _SHOWN * rms(in_time):
-                late[j] = values[-1]
-        return late
+            values, rest = self._coefficients(j)
+            late[j] = values[-1]
+            left[j] = rms(rest) / rms(self._coefficients(j, slice(-1))[1])  # without the delay
+        usual = np.exp(np.mean(np.log(left[by_motors]))) < _CUSTOM_SHOWN if any(by_motors) else 0
+        custom = np.array([usual and RecordingDelay.is_custom(
+            (one,), self._period, self._commanded) for one in late], dtype=bool)
+        return np.where((left < _SHOWN) | custom, late, 0.0)
 
     def _unexplained(self):
         """Return rms torques (n,) that neither links nor friction explain [N m]."""
