@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 from bench import coverage
+from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.motions import draw_reference
 from discrepancy_runs import driven
 from gms_flex_control.identification.arm_fit import with_axis
@@ -99,7 +100,7 @@ def test_torques_in_time_stay_as_they_were_recorded():
 
 def test_a_ramp_of_torque_that_acts_later_is_lower_by_what_it_rose_in_between():
     recording = replace(pendulum(), tau_motor=3.0 * pendulum().time[:, None])
-    late = Believed(described().arm, np.array([0.013])).in_time(recording).tau_motor
+    late = Believed(described().arm, np.array([0.013]), np.zeros(1)).cleared(recording).tau_motor
     np.testing.assert_allclose(late[5:-5], recording.tau_motor[5:-5] - 3.0 * 0.013, atol=1e-12)
 
 
@@ -122,3 +123,20 @@ def test_a_load_does_not_soften_springs_that_are_as_stiff_as_their_motors_say(ro
     found = believed([driven(robot, robot, gains, reference, time, payload)], robot).arm
     assert found.stiffness == pytest.approx(robot.arm.stiffness, rel=0.015)
     assert found.mass.sum() > robot.arm.mass.sum() + 0.3 * mass
+
+
+@pytest.mark.parametrize('effect, seed', [
+    ('spring_offset', 1), ('spring_offset', 2), ('spring_offset', 3),
+    ('constant_link_torque', 1), ('motor_torque_bias', 2)])
+def test_encoders_that_read_a_torsion_without_torque_are_seen_by_both_equations(effect, seed):
+    """A torque that one equation lacks alone is none of the spring's."""
+    case = make_case('single', seed, effect=effect, duration=16.0)
+    spec, = case.truth.effects
+    wanted = np.zeros(2)
+    if effect == 'spring_offset':  # torsion at which the spring gives no torque, as in the effect
+        wanted[case.nominal.joints.index(spec.joint)] = -spec.values[0]
+    found = believed([case.recording], case.nominal)
+    np.testing.assert_allclose(found.zero, wanted, rtol=0.03)
+    left = found.cleared(case.recording).q_motor - case.recording.q_motor
+    np.testing.assert_allclose(left, np.broadcast_to(-found.zero, left.shape), atol=1e-9)
+    assert ('of torsion where its spring' in found.words(case.nominal)) is any(wanted)

@@ -37,7 +37,7 @@ def test_a_correction_of_the_arm_explains_the_torque_of_what_was_believed_wrongl
     """The axis turns by 0.05 kg m^2, 0.04 are believed: the rest is the one further torque."""
     robot = single_axis(FRICTIONLESS, 0.8 * INERTIA)
     bundle = Problem([(recorded(0.0, 0.0, 0), ())], (), robot,
-                     beside=Believed(robot.arm, np.zeros(1))).bundle
+                     beside=Believed(robot.arm, *np.zeros((2, 1)))).bundle
     bundle = bundle._replace(extras=(lambda segment: -segment.acceleration,))
     left = {}
     for correction in (0.0, 0.2 * INERTIA):

@@ -67,10 +67,13 @@ def steady_error(name, effects, rigid):
     *((name, False) for name in STRONG), ('constant_link_torque', True),
     ('quadratic_drag', True), ('position_friction', True), ('load_friction', True)])
 def test_an_effect_that_is_named_does_not_end_in_the_friction(name, rigid):
-    """With it the steady friction is near the truth, without it farther off."""
+    """With it the steady friction is near the truth; farther off without, if nothing shows it."""
     known, ignored = (steady_error(name, effects, rigid) for effects in (specs(name), ()))
     assert known < 0.09
-    assert ignored > 2.0 * known
+    if name == 'spring_offset':
+        assert ignored < 0.09
+    else:
+        assert ignored > 2.0 * known
 
 
 @pytest.mark.parametrize('name', ['actuator_lag', 'torque_gain', 'input_delay'])
@@ -167,7 +170,7 @@ def test_where_the_arm_is_estimated_effects_are_refused_but_the_one_found_anew()
 def innovations(recording, robot, alone):
     """Return the innovations of the first joint with its true friction, rms [rad]."""
     bundle = Problem([(recording, ())], (), robot, alone=alone,
-                     beside=Believed(robot.arm, np.zeros(robot.n_joints))).bundle
+                     beside=Believed(robot.arm, *np.zeros((2, robot.n_joints)))).bundle
     blocks = Coordinates(robot.friction.stiffness.shape[1])
     sides = (robot.friction.forward, robot.friction.backward)
     numbers = [blocks.pack(

@@ -376,6 +376,17 @@ def fit_stiffness(recordings: Sequence, joint: int, inertia: float,
             lambda other: float(rms(torque - other * torsion)))
 
 
+def constant_of_motor(recordings: Sequence, joint: int,
+                      inertia: float) -> tuple[float, float] | None:
+    """Return the constant torque of the motor's equation [N m], its error; None of too few."""
+    rows = _motor_rows(recordings, joint)
+    if rows is None:
+        return None
+    target, columns, block, _ = rows
+    values, error = solution(columns[:, 1:], target - inertia * columns[:, 0], block)
+    return float(values[2]), float(error[2])
+
+
 def _motor_rows(recordings, joint):
     """
     Return torque, columns of the motor's equation, blocks of time, and noise; None of too few.

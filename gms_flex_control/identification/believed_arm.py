@@ -17,7 +17,7 @@ from gms_flex_control.identification.arm_fit import two_sided
 from gms_flex_control.identification.arm_regression import ArmRegression, driven_arm
 from gms_flex_control.identification.arm_rows import SLIPS, SPRINGY
 from gms_flex_control.identification.assumed_robot import only_joints
-from gms_flex_control.identification.axis_fit import fit_stiffness
+from gms_flex_control.identification.axis_fit import constant_of_motor, fit_stiffness
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     base_of,
@@ -38,6 +38,7 @@ _SHOWN = 0.9        # of the torque that links and friction leave, where links a
 #                     described rightly they leave 0.97 and more, 1 % off 0.85 and less
 _CUSTOM_SHOWN = 0.97  # likewise, of all joints together, where half of all machines are so
 _AGREE = 3.0        # standard deviations between two sources of one number
+_ALIKE = 0.5        # of what friction differs by both ways: an offset of a spring explains more
 _BEYOND = 1.0       # for how long the first and the last torque act outside a recording [s]
 _OF_LINKS = ('mass', 'com', 'inertia', 'motor_inertia')
 _NUMBERS = (*_OF_LINKS, 'stiffness')
@@ -49,16 +50,17 @@ class Believed(NamedTuple):
 
     arm: ArmParams
     delay: np.ndarray  # (n,) by which torques act later than they are stamped [s], as a rule 0
+    zero: np.ndarray   # (n,) torsion that is read where a spring gives no torque [rad], likewise
 
-    def in_time(self, recording: Recording) -> Recording:
-        """Return a recording whose torques, those of samples that ended, are where they acted."""
+    def cleared(self, recording: Recording) -> Recording:
+        """Return a recording whose torques, of samples that ended, and torsions are as acted."""
         torque, time = recording.tau_motor.copy(), recording.time
         for j in np.flatnonzero(self.delay):
             known = np.flatnonzero(np.isfinite(torque[:, j]))
             held = np.append(torque[known, j], torque[known[-1], j])
             ends = np.concatenate([[time[0] - _BEYOND], time[known], [time[-1] + _BEYOND]])
             torque[known[1:], j] = means_held(held, ends, time[known] - self.delay[j])
-        return replace(recording, tau_motor=torque)
+        return replace(recording, tau_motor=torque, q_motor=recording.q_motor - self.zero)
 
     def words(self, robot: RobotParams) -> str:
         """Return a sentence that says what is other than described, '' where nothing is."""
@@ -68,6 +70,9 @@ class Believed(NamedTuple):
             if abs(stiffer) > _WORTH_WORDS:
                 shown.append(f'a spring of {joint} that is {abs(100 * stiffer):.2g} % '
                              f'{"stiffer" if stiffer > 0.0 else "softer"}')
+            if self.zero[j]:
+                shown.append(f'encoders of {joint} that read {1e3 * abs(self.zero[j]):.2g} mrad '
+                             'of torsion where its spring gives no torque')
             if self.delay[j]:
                 shown.append(f'torques of {joint} that act {abs(1e3 * self.delay[j]):.2g} ms '
                              f'{"later" if self.delay[j] > 0.0 else "earlier"} than they are '
@@ -80,29 +85,35 @@ class Believed(NamedTuple):
 
 
 def believed(recordings: Sequence[Recording], robot: RobotParams, thetas: dict | None = None,
-             beside: ArmParams | None = None) -> Believed:
+             beside: Believed | None = None) -> Believed:
     """
     Return the arm that recordings show, hardly farther from the described one than it is known.
 
     That is the described one unless another explains the torque far better, and so are times of
     torques. Base parameters and springs have priors by the `uncertainty` of the robot. ``thetas``
-    are parameters of friction by joint, where it was fitted, beside an arm.
+    are parameters of friction by joint, where it was fitted, beside what was believed before:
+    asymmetry of that says no more of a spring's zero.
     """
-    known = {joint: (theta, beside.stiffness[robot.joints.index(joint)])
+    known = {joint: (theta, beside.arm.stiffness[robot.joints.index(joint)])
              for joint, theta in (thetas or {}).items()}
+    found = _of_all(recordings, robot, known)
+    return found._replace(zero=beside.zero) if beside else found
+
+
+def _of_all(recordings, robot, known):
     if robot.arm.kind != 'decoupled':
         return _within_belief(recordings, robot, known)
     alone = [_within_belief([one.of_joints([joint]) for one in recordings],
                             only_joints(robot, [joint]), known) for joint in robot.joints]
     return Believed(replace(robot.arm, **{
         name: np.concatenate([getattr(one.arm, name) for one in alone]) for name in _NUMBERS}),
-        np.concatenate([one.delay for one in alone]))
+        *(np.concatenate([getattr(one, name) for one in alone]) for name in ('delay', 'zero')))
 
 
 def _within_belief(recordings, robot, known):
     arm, sides = driven_arm(recordings, robot)
     if not all(driven(one, sides).all() for one in recordings):
-        return Believed(robot.arm, np.zeros(robot.n_joints))
+        return Believed(robot.arm, *np.zeros((2, robot.n_joints)))
     springs = np.array(sides) == 'spring'
     base = (base_of(arm, numbers=IN_PLANE) if robot.arm.frames is None
             else base_of(arm, recordings[0].coupling))
@@ -120,7 +131,8 @@ def _within_belief(recordings, robot, known):
     fit = _WithinBelief(recordings, robot, sides, arm, base, agreed, spring_sd=sd * springs,
                         friction=friction if known else None)
     fit.solve()
-    return fit.believed()
+    asymmetry, found = fit.asymmetries(), fit.believed()
+    return found._replace(zero=_zeros(recordings, robot, springs, asymmetry, found.arm))
 
 
 def _stiffnesses(recordings, robot, springs):
@@ -134,8 +146,7 @@ def _stiffnesses(recordings, robot, springs):
     stiffness, sd = robot.arm.stiffness.copy(), known_to(robot, 'stiffness')
     agreed = np.zeros(robot.n_joints, dtype=bool)
     inertia, inertia_sd = robot.arm.motor_inertia, known_to(robot, 'motor_inertia')
-    plain = [all(spec.joint != joint for spec in robot.effects) for joint in robot.joints]
-    for j in np.flatnonzero(springs & plain):
+    for j in np.flatnonzero(springs & _plain(robot)):
         found = two_sided(recordings, j) and fit_stiffness(
             recordings, j, inertia[j], inertia_sd[j] * inertia[j])
         if not found or found[0] <= 0.0:
@@ -148,6 +159,32 @@ def _stiffnesses(recordings, robot, springs):
         if left(likely) < _SHOWN * left(stiffness[j]):
             stiffness[j], sd[j] = likely, precision.sum() ** -0.5
     return stiffness, sd, agreed
+
+
+def _zeros(recordings, robot, springs, asymmetry, arm):
+    """
+    Return torsions that are read where springs give no torque (n,) [rad], 0 unless shown.
+
+    Such a torque is missing from the motor's equation and is in friction of one direction, with
+    an ``asymmetry`` (n,) [N m]. Both say the same where it is that.
+    """
+    zero = np.zeros(robot.n_joints)
+    for j in np.flatnonzero(springs & _plain(robot)):
+        found = two_sided(recordings, j) and constant_of_motor(
+            recordings, j, arm.motor_inertia[j])
+        if not found:
+            continue
+        torque, error = -found[0], found[1]
+        if abs(torque) > _AGREE * error and abs(asymmetry[j] - torque) < _ALIKE * abs(
+                asymmetry[j]):
+            zero[j] = torque / arm.stiffness[j]
+    return zero
+
+
+def _plain(robot):
+    """Return the joints of a robot without effects, bool (n,)."""
+    return np.array([all(spec.joint != joint for spec in robot.effects)
+                     for joint in robot.joints])
 
 
 class _WithinBelief(ArmRegression):
@@ -201,7 +238,12 @@ class _WithinBelief(ArmRegression):
         self._at = replace(at, links=self._links, scale=np.ones(len(at.scale)))
         if np.any(beside < _SHOWN * self._unexplained()):
             arm, self._at = found, at
-        return Believed(arm, self._delays(~springs))
+        return Believed(arm, self._delays(~springs), np.zeros(len(springs)))
+
+    def asymmetries(self) -> np.ndarray:
+        """Return by how much friction forward exceeds the mean of both ways, (n,) [N m]."""
+        return np.array([0.5 * np.subtract(*self._coefficients(j)[0][[0, 4]])
+                         for j in range(len(self._sides))])
 
     def _delays(self, by_motors):
         """

@@ -74,7 +74,7 @@ class Problem:
         if not whole:
             beside = beside or believed(self._recordings, robot)
             robot = replace(robot, arm=beside.arm)
-            recordings = [beside.in_time(one) for one in recordings]
+            recordings = [beside.cleared(one) for one in recordings]
         self._beside = beside
         self.differences = None  # of an arm in space alone
         if robot.arm.frames is not None:
@@ -174,7 +174,7 @@ class Problem:
         thetas = {self.described.joints[j]: fit.theta
                   for j, fit in zip(self.fitted, fits, strict=True)}
         return Problem(*self._given, alone=self._alone, beside=believed(
-            self._recordings, self.described, thetas, self._beside.arm))
+            self._recordings, self.described, thetas, self._beside))
 
     def each_alone(self) -> Self:
         """Return the Problem in which the others move as measured, beside the same arm."""
