@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.least_squares import Prior, refine
-from gms_flex_control.identification.multi_start import multi_start
+from gms_flex_control.identification.multi_start import multi_start, narrower_curves
 from gms_flex_control.identification.objective import Evaluation
 from gms_flex_control.simulation.predictor import PER_DIRECTION, VELOCITY
 import numpy as np
@@ -75,6 +75,16 @@ class Flat(Rippled):
                        curvature=one.curvature * slope ** 2)
 
 
+class Blind(Rippled):
+    """A stand-in that does not feel the velocities."""
+
+    def evaluate(self, coordinates, free, sharpness, floor=None, *, derivatives=True):
+        """Return the Evaluation of free numbers, whatever the velocities are."""
+        felt = free.copy()
+        felt[VELOCITIES] = TRUTH[VELOCITIES]
+        return super().evaluate(coordinates, felt, sharpness, floor)
+
+
 @pytest.mark.parametrize('lost', [[VELOCITY], VELOCITIES])
 def test_stribeck_curves_that_are_lost_begin_as_the_other_way_s_or_as_narrow_ones(lost):
     """From velocities e^8 times too large nothing leads back, the backward curve does."""
@@ -84,6 +94,18 @@ def test_stribeck_curves_that_are_lost_begin_as_the_other_way_s_or_as_narrow_one
     found = multi_start(Flat(), COORDINATES, (start,), PRIOR, COUNT, np.random.default_rng(0), 8)
     assert stuck[lost] == pytest.approx(8.0, abs=1.0)
     assert found.ends[0][lost] == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_narrow_stribeck_curve_stands_beside_a_wide_one_where_data_do_not_tell():
+    """Of velocities that nothing depends on, and where neither is wide there is none."""
+    wide = TRUTH.copy()
+    wide[VELOCITIES] = 4.0  # far beyond the truth, below the fastest motion
+    begin = refine(Flat(), COORDINATES, wide, PRIOR)
+    unfelt = begin._replace(free=wide, evaluation=Blind().evaluate(COORDINATES, wide, 1.0))
+    other, worse = narrower_curves(Blind(), COORDINATES, unfelt, PRIOR)
+    assert (other.free[VELOCITIES] < 2.5).all() and abs(worse) < 1.0
+    narrow = unfelt._replace(free=TRUTH)
+    assert narrower_curves(Blind(), COORDINATES, narrow, PRIOR)[0] is None
 
 
 @pytest.mark.parametrize(('block', 'factor'), [(0, -8.0), (1, 8.0)])

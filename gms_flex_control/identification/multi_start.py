@@ -24,6 +24,7 @@ from gms_flex_control.identification.coordinates import (
     equal_blocks,
     MOST_BLOCKS,
     N_STEADY,
+    of_direction,
     slipping,
     with_both_as,
     with_narrow_curves,
@@ -31,12 +32,15 @@ from gms_flex_control.identification.coordinates import (
 from gms_flex_control.identification.friction_map import Start
 from gms_flex_control.identification.least_squares import (
     fit_torque,
+    Prior,
     prior_of,
     refine,
+    Refined,
     TorqueError,
     total_cost,
 )
 from gms_flex_control.identification.objective import Bundle, coarser, Objective, train
+from gms_flex_control.identification.outcome import CONFIDENT
 from gms_flex_control.identification.segments import travel
 from gms_flex_control.identification.selection import (
     CANDIDATES,
@@ -221,12 +225,43 @@ def _finish(objective, fit):
     coordinates, prior, bundle = fit.coordinates, fit.prior, objective.bundle
     held = refine(objective.of(train(bundle.period)), coordinates, fit.free, prior).free
     refined = refine(objective, coordinates, held, prior)
+    narrow, above = narrower_curves(objective, coordinates, refined, prior)
+    if narrow and above < -CONFIDENT:
+        held = refine(objective.of(train(bundle.period)), coordinates, narrow.free, prior).free
+        refined = refine(objective, coordinates, narrow.free, prior)
+    rivals = (coordinates.parameters(narrow.free),) if narrow and abs(above) <= CONFIDENT else ()
     others = (refine(objective.of(bundle=coarser(bundle, 2.0 * bundle.period)), coordinates,
                      refined.free, prior),
               refine(objective, coordinates, refined.free, prior, sharpness=_SOFT))
     moved = sum((other.free - refined.free) ** 2 for other in others)
     return fit._replace(free=refined.free, evaluation=refined.evaluation, held=held,
+                        rivals=(*fit.rivals, *rivals),
                         sampling=np.sqrt(fit.sampling ** 2 + moved))
+
+
+def narrower_curves(objective: Objective, coordinates: Coordinates, end: Refined,
+                    prior: Prior) -> tuple[Refined | None, float]:
+    """
+    Return the best Refined with narrower Stribeck curves, or None, and by how much it is worse.
+
+    In standard errors of the difference, from blocks of time. A wide curve takes the place of
+    F_c and of viscous friction, and steps do not lead from it to a narrow one.
+    """
+    theta, top = coordinates.parameters(end.free), objective.fastest
+    wide = theta[[VELOCITY, PER_DIRECTION + VELOCITY]] > _NARROW[-1] * top
+    if not wide.any():
+        return None, np.nan
+    begins = [with_narrow_curves(end.free, share * top) for share in _NARROW]
+    for begin in begins:
+        for way in np.flatnonzero(~wide):
+            begin[of_direction(way)] = end.free[of_direction(way)]
+        if not wide.all():
+            begin[N_STEADY - 1] = end.free[N_STEADY - 1]
+    floor = end.evaluation.floor
+    best = min((refine(objective, coordinates, begin, prior, roughly=True, floor=floor)
+                for begin in begins), key=lambda one: _cost_above(one, floor, prior))
+    off = replace(best.evaluation, floor=floor).cost - end.evaluation.cost
+    return best, off.sum() / max(off.std() * np.sqrt(len(off)), 1e-12)
 
 
 class MultiStart(NamedTuple):
