@@ -5,9 +5,8 @@ from collections.abc import Sequence
 
 from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag, namespace_of
-from gms_flex_control.data.clock import on_even_clock
 from gms_flex_control.data.conditions import conditions_of, with_conditions
-from gms_flex_control.data.recording import MOTOR_SUFFIX, Phase, Recording, Topics
+from gms_flex_control.data.recording import MOTOR_SUFFIX, on_even_clock, Phase, Recording, Topics
 from gms_flex_control.data.series import names_of, Series
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.key import LARGEST_STATE

@@ -3,9 +3,8 @@
 
 from dataclasses import replace
 
-from gms_flex_control.data.clock import on_even_clock
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.recording import on_even_clock, Recording
 from gms_flex_control.data.writer import write_recording
 import numpy as np
 import pytest
