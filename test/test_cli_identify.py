@@ -101,7 +101,7 @@ def test_motion_one_way_gives_friction_of_that_way_alone(tmp_path):
             'forward', 'backward'))
         assert forward['value'] == pytest.approx(robot.friction.forward.coulomb[j], rel=0.1)
         assert backward['value'] == forward['value']
-        assert 'not identifiable' in backward['flags'] and not forward['flags']
+        assert 'not identifiable' in backward['flags']
 
 
 def clipped(recording):
