@@ -52,7 +52,9 @@ def innovations(segment, theta, inertia, period, half, bandwidth):
         error = error - half if error > half else error + half if error < -half else 0.0
         found[k] = error
         friction = torque.sum() + ways[sign][3] * dq  # Eq. (5)
-        dq += period * ((push - friction) / inertia + bandwidth ** 2 * error)  # Eq. (1)
+        resistance = 0.5 * period * ways[sign][3] if half > 0.0 else 0.0  # of counted readings
+        dq += period * ((push - friction) / (inertia + resistance)
+                        + bandwidth ** 2 * error)  # Eq. (1)
         moved = period * dq
         q += moved + period * 2.0 * bandwidth * error
         if moved * sign < 0.0:
