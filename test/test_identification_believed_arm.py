@@ -128,7 +128,7 @@ def test_a_load_does_not_soften_springs_that_are_as_stiff_as_their_motors_say(ro
 @pytest.mark.parametrize('effect, seed', [
     ('spring_offset', 1), ('constant_link_torque', 1), ('motor_torque_bias', 2)])
 def test_encoders_that_read_a_torsion_without_torque_are_seen_by_both_equations(effect, seed):
-    """A torque that one equation lacks alone is none of the spring's."""
+    """A torque that one equation alone lacks is not of the spring."""
     case = make_case('single', seed, effect=effect, duration=16.0)
     spec, = case.truth.effects
     wanted = np.zeros(2)

@@ -97,7 +97,7 @@ def test_stribeck_curves_that_are_lost_begin_as_the_other_way_s_or_as_narrow_one
 
 
 def test_a_narrow_stribeck_curve_stands_beside_a_wide_one_where_data_do_not_tell():
-    """Of velocities that nothing depends on, and where neither is wide there is none."""
+    """Velocities that nothing depends on have one; curves that are not wide do not."""
     wide = TRUTH.copy()
     wide[VELOCITIES] = 4.0  # far beyond the truth, below the fastest motion
     begin = refine(Flat(), COORDINATES, wide, PRIOR)

@@ -11,7 +11,7 @@ import numpy as np
 
 COVERED = 0.98  # share of its samples that a torque, or a supply, must cover
 # of a clock behind stamps
-_EVEN = 1e-3       # of a period: stamps nearer than that to it stay as they are
+_EVEN = 1e-3       # of a period: times nearer than that to even ones are even
 _EARLY = 0.3       # of a period by which a stamp may be before its sample; late ones fill the rest
 _OFF = 0.02        # relative, by which the median step may miss the period
 _FEWEST = 16       # samples that show a clock
@@ -200,7 +200,7 @@ def on_even_clock(recording: Recording) -> Recording:
     stay, as those do of angles too coarse or too still to show the difference.
     """
     stamps, period = recording.time, recording.period
-    if len(stamps) < _FEWEST or np.abs(np.diff(stamps) - period).max() < _EVEN * period:
+    if len(stamps) < _FEWEST or _is_even(stamps, period):
         return recording
     slots, period = _slots(stamps)
     even = period * slots
@@ -242,19 +242,25 @@ def _period(stamps):
 def _roughness(angle, time, period):
     """Return the logarithm of the mean squared third difference of an angle at even times."""
     known = np.isfinite(angle)
-    grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period * (1.0 + 1e-9)) + 1)
-    squares = np.diff(np.interp(grid, time[known], angle[known]), 3) ** 2
+    squares = np.diff(np.interp(even_grid(time, period), time[known], angle[known]), 3) ** 2
     return float(np.log(max(np.mean(squares), 1e-300)))
 
 
 def even_time(recording: Recording) -> tuple[np.ndarray, float]:
     """Return evenly spaced times (T,) over a recording, and their period [s]."""
     time, period = recording.time, recording.period
-    steps = np.diff(time)
-    if np.abs(steps - period).max() < 1e-3 * period:
+    if _is_even(time, period):
         return time, float((time[-1] - time[0]) / (len(time) - 1))
-    count = int((time[-1] - time[0]) / period * (1.0 + 1e-9)) + 1
-    return time[0] + period * np.arange(count), period
+    return even_grid(time, period), period
+
+
+def _is_even(time, period):
+    return np.abs(np.diff(time) - period).max() < _EVEN * period
+
+
+def even_grid(time: np.ndarray, period: float) -> np.ndarray:
+    """Return times a ``period`` apart from the first of ``time`` (T,) to the last [s]."""
+    return time[0] + period * np.arange(int((time[-1] - time[0]) / period * (1.0 + 1e-9)) + 1)
 
 
 def resampled(recording: Recording, values: np.ndarray, time: np.ndarray,

@@ -350,20 +350,28 @@ def fit_motor(recordings: Sequence, joint: int) -> MotorFit | None:
     return MotorFit(*map(float, values[:3]), error[:3], float(explained), float(skew), share)
 
 
-def fit_stiffness(recordings: Sequence, joint: int, inertia: float,
-                  sd: float) -> tuple[float, float, Callable] | None:
-    """
-    Return stiffness by the motor's equation [N m/rad], its error, and what any stiffness leaves.
+class SpringFit(NamedTuple):
+    """What the motor's equation says of a spring, the inertia being known."""
 
-    The last is a function: stiffness -> rms torque [N m]. The motor's ``inertia`` is known to
-    ``sd`` [kg m^2]. None where too little was measured.
+    stiffness: float       # [N m/rad]
+    error: float           # its standard error
+    left: Callable         # stiffness -> rms torque that any leaves [N m]
+    constant: float        # torque that the motor gives and neither side takes [N m]
+    constant_error: float  # its standard error
+
+
+def fit_spring(recordings: Sequence, joint: int, inertia: float, sd: float) -> SpringFit | None:
+    """
+    Return the SpringFit of a joint; None where too little was measured.
+
+    The motor's ``inertia`` is known to ``sd`` [kg m^2].
     """
     rows = _motor_rows(recordings, joint)
     if rows is None:
         return None
     target, columns, block, noise = rows
     target, others = target - inertia * columns[:, 0], columns[:, 1:]
-    error = solution(others, target, block)[1][0]
+    values, errors = solution(others, target, block)
     alone = np.column_stack([target, others[:, 0], columns[:, 0]])
     alone -= others[:, 1:] @ np.linalg.lstsq(others[:, 1:], alone, rcond=None)[0]
     torque, torsion, motor = alone.T
@@ -372,19 +380,9 @@ def fit_stiffness(recordings: Sequence, joint: int, inertia: float,
         return None
     stiffness, by_inertia = torque @ torsion / seen, motor @ torsion / seen
     by_noise = _NOISE_SD * stiffness * (noise @ noise) / seen
-    return (float(stiffness), float(np.sqrt(error ** 2 + (by_inertia * sd) ** 2 + by_noise ** 2)),
-            lambda other: float(rms(torque - other * torsion)))
-
-
-def constant_of_motor(recordings: Sequence, joint: int,
-                      inertia: float) -> tuple[float, float] | None:
-    """Return the constant torque of the motor's equation [N m], its error; None of too few."""
-    rows = _motor_rows(recordings, joint)
-    if rows is None:
-        return None
-    target, columns, block, _ = rows
-    values, error = solution(columns[:, 1:], target - inertia * columns[:, 0], block)
-    return float(values[2]), float(error[2])
+    return SpringFit(
+        float(stiffness), float(np.sqrt(errors[0] ** 2 + (by_inertia * sd) ** 2 + by_noise ** 2)),
+        lambda other: float(rms(torque - other * torsion)), float(values[2]), float(errors[2]))
 
 
 def _motor_rows(recordings, joint):

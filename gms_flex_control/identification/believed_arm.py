@@ -17,7 +17,7 @@ from gms_flex_control.identification.arm_fit import two_sided
 from gms_flex_control.identification.arm_regression import ArmRegression, driven_arm
 from gms_flex_control.identification.arm_rows import SLIPS, SPRINGY
 from gms_flex_control.identification.assumed_robot import only_joints
-from gms_flex_control.identification.axis_fit import constant_of_motor, fit_stiffness
+from gms_flex_control.identification.axis_fit import fit_spring
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     base_of,
@@ -117,7 +117,8 @@ def _within_belief(recordings, robot, known):
     springs = np.array(sides) == 'spring'
     base = (base_of(arm, numbers=IN_PLANE) if robot.arm.frames is None
             else base_of(arm, recordings[0].coupling))
-    stiffness, sd, agreed = _stiffnesses(recordings, robot, springs)
+    fits = _spring_fits(recordings, robot, springs)
+    stiffness, sd, agreed = _stiffnesses(robot, fits)
     robot = replace(robot, arm=replace(robot.arm, stiffness=stiffness))
 
     def friction(segment, joints, period):
@@ -131,60 +132,59 @@ def _within_belief(recordings, robot, known):
     fit = _WithinBelief(recordings, robot, sides, arm, base, agreed, spring_sd=sd * springs,
                         friction=friction if known else None)
     fit.solve()
+    if known:  # of a spring's zero they say no more
+        return fit.believed()
     asymmetry, found = fit.asymmetries(), fit.believed()
-    return found._replace(zero=_zeros(recordings, robot, springs, asymmetry, found.arm))
+    return found._replace(zero=_zeros(fits, asymmetry, found.arm.stiffness))
 
 
-def _stiffnesses(recordings, robot, springs):
+def _spring_fits(recordings, robot, springs):
+    """Return SpringFits by joint; a joint with effects has none, the equation may have any."""
+    inertia, sd = robot.arm.motor_inertia, known_to(robot, 'motor_inertia')
+    plain = [all(spec.joint != joint for spec in robot.effects) for joint in robot.joints]
+    fits = {j: fit_spring(recordings, j, inertia[j], sd[j] * inertia[j])
+            for j in np.flatnonzero(springs & plain) if two_sided(recordings, j)}
+    return {j: fit for j, fit in fits.items() if fit}
+
+
+def _stiffnesses(robot, fits):
     """
     Return stiffnesses [N m/rad], their relative standard deviations, and which agree, (n,) each.
 
     As described, unless the torque of the motor shows another: the spring's own torque determines
-    links and friction but for a factor, that of its stiffness. A joint with effects is left out,
-    of which the motor's equation may have any. Where both agree, neither is far off.
+    links and friction but for a factor, that of its stiffness. Where both agree, neither is far
+    off.
     """
     stiffness, sd = robot.arm.stiffness.copy(), known_to(robot, 'stiffness')
     agreed = np.zeros(robot.n_joints, dtype=bool)
-    inertia, inertia_sd = robot.arm.motor_inertia, known_to(robot, 'motor_inertia')
-    for j in np.flatnonzero(springs & _plain(robot)):
-        found = two_sided(recordings, j) and fit_stiffness(
-            recordings, j, inertia[j], inertia_sd[j] * inertia[j])
-        if not found or found[0] <= 0.0:
+    for j, fit in fits.items():
+        measured = fit.stiffness
+        if measured <= 0.0:
             continue
-        measured, error, left = found
-        precision = np.array([sd[j] ** -2.0, ((error / measured) ** 2 + _TORQUE_SD ** 2) ** -1.0])
+        precision = np.array([
+            sd[j] ** -2.0, ((fit.error / measured) ** 2 + _TORQUE_SD ** 2) ** -1.0])
         agreed[j] = np.log(measured / stiffness[j]) ** 2 < _AGREE ** 2 * np.sum(1.0 / precision)
         likely = stiffness[j] ** (precision[0] / precision.sum()) * measured ** (
             precision[1] / precision.sum())
-        if left(likely) < _SHOWN * left(stiffness[j]):
+        if fit.left(likely) < _SHOWN * fit.left(stiffness[j]):
             stiffness[j], sd[j] = likely, precision.sum() ** -0.5
     return stiffness, sd, agreed
 
 
-def _zeros(recordings, robot, springs, asymmetry, arm):
+def _zeros(fits, asymmetry, stiffness):
     """
     Return torsions that are read where springs give no torque (n,) [rad], 0 unless shown.
 
     Such a torque is missing from the motor's equation and is in friction of one direction, with
     an ``asymmetry`` (n,) [N m]. Both say the same where it is that.
     """
-    zero = np.zeros(robot.n_joints)
-    for j in np.flatnonzero(springs & _plain(robot)):
-        found = two_sided(recordings, j) and constant_of_motor(
-            recordings, j, arm.motor_inertia[j])
-        if not found:
-            continue
-        torque, error = -found[0], found[1]
-        if abs(torque) > _AGREE * error and abs(asymmetry[j] - torque) < _ALIKE * abs(
-                asymmetry[j]):
-            zero[j] = torque / arm.stiffness[j]
+    zero = np.zeros(len(stiffness))
+    for j, fit in fits.items():
+        torque = -fit.constant
+        if abs(torque) > _AGREE * fit.constant_error and abs(
+                asymmetry[j] - torque) < _ALIKE * abs(asymmetry[j]):
+            zero[j] = torque / stiffness[j]
     return zero
-
-
-def _plain(robot):
-    """Return the joints of a robot without effects, bool (n,)."""
-    return np.array([all(spec.joint != joint for spec in robot.effects)
-                     for joint in robot.joints])
 
 
 class _WithinBelief(ArmRegression):
@@ -256,9 +256,9 @@ class _WithinBelief(ArmRegression):
             values, rest = self._coefficients(j)
             late[j] = values[-1]
             left[j] = rms(rest) / rms(self._coefficients(j, slice(-1))[1])  # without the delay
-        usual = np.exp(np.mean(np.log(left[by_motors]))) < _CUSTOM_SHOWN if any(by_motors) else 0
-        custom = np.array([usual and RecordingDelay.is_custom(
-            (one,), self._period, self._commanded) for one in late], dtype=bool)
+        usual = any(by_motors) and np.exp(np.mean(np.log(left[by_motors]))) < _CUSTOM_SHOWN
+        custom = [bool(usual) and RecordingDelay.is_custom((one,), self._period, self._commanded)
+                  for one in late]
         return np.where((left < _SHOWN) | custom, late, 0.0)
 
     def _unexplained(self):

@@ -258,8 +258,7 @@ def narrower_curves(objective: Objective, coordinates: Coordinates, end: Refined
         if not wide.all():
             begin[N_STEADY - 1] = end.free[N_STEADY - 1]
     floor = end.evaluation.floor
-    best = min((refine(objective, coordinates, begin, prior, roughly=True, floor=floor)
-                for begin in begins), key=lambda one: _cost_above(one, floor, prior))
+    best = _best_from(objective, coordinates, begins, prior, floor)
     off = replace(best.evaluation, floor=floor).cost - end.evaluation.cost
     return best, off.sum() / max(off.std() * np.sqrt(len(off)), 1e-12)
 
@@ -311,6 +310,13 @@ def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence
     return MultiStart(tuple(ordered[:KEPT]), scatter, gain)
 
 
+def _best_from(objective, coordinates, begins, prior, floor):
+    """Return the best Refined of those from free numbers to begin with."""
+    ends = [refine(objective, coordinates, begin, prior, roughly=True, floor=floor)
+            for begin in begins]
+    return min(ends, key=lambda one: _cost_above(one, floor, prior))
+
+
 def _with_both_curves(objective, coordinates, free, prior):
     """
     Return the Refined from ``free``, a Stribeck curve that is lost begun anew.
@@ -327,9 +333,7 @@ def _with_both_curves(objective, coordinates, free, prior):
     else:
         return end
     floor = end.evaluation.floor
-    others = [refine(objective, coordinates, begin, prior, roughly=True, floor=floor)
-              for begin in begins]
-    best = min(others, key=lambda one: _cost_above(one, floor, prior))
+    best = _best_from(objective, coordinates, begins, prior, floor)
     better = GAIN * _cost_above(best, floor, prior) < _cost_above(end, floor, prior)
     return best if better else end
 

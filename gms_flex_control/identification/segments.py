@@ -7,7 +7,7 @@ from itertools import zip_longest
 import warnings
 
 from gms_flex_control.data import signal_analysis as analysis
-from gms_flex_control.data.recording import means_held, Recording
+from gms_flex_control.data.recording import even_grid, means_held, Recording
 from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.effects.table import of_stages
@@ -108,8 +108,7 @@ def _spring_mismatch(recording, robot, j):
     if known.sum() < 100:
         return 0.0
     time, period = recording.time[known], recording.period
-    step = float(np.median(np.diff(time)))
-    grid = time[0] + step * np.arange(int((time[-1] - time[0]) / step * (1 + 1e-9)) + 1)
+    grid = even_grid(time, float(np.median(np.diff(time))))
     q_link, q_motor = (np.interp(grid, time, side[known, j])
                        for side in (recording.q_link, recording.q_motor))
     # a state has the mean torque of the sample before it

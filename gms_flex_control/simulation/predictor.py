@@ -180,6 +180,8 @@ def accelerate(torque, factor, further, joint, period, q, dq, half, state, links
 def resist(resistance, links, work) -> None:
     """Change accelerations by M to those by M with ``resistance`` (n,) on its diagonal."""
     n = resistance.shape[0]
+    if not resistance.any():
+        return
     columns, unit = np.zeros((n, n)), np.zeros(n)  # of the inverse, joint by joint
     for j in range(n):
         unit[j] = 1.0
