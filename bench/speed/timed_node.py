@@ -66,9 +66,13 @@ def timed(path) -> type:
                 publish(message)
             arm.outlet.publish = published
 
-        def take(self, torque, stamp, now):
-            super().take(torque, stamp, now)
-            self._timing.answered(self._numbers.get(stamp, -1), now)
+        def _on_command(self, message):
+            before = self.command
+            understood = super()._on_command(message)
+            if self.command is not before:
+                _, stamp, came = self.command
+                self._timing.answered(self._numbers.get(stamp, -1), came)
+            return understood
 
         def finish(self):
             super().finish()

@@ -94,6 +94,14 @@ def test_the_bridge_that_is_measured_answers():
     assert timing['lost'] < timing['samples'] / 2
 
 
+@pytest.mark.flaky(reruns=2)  # likewise
+@pytest.mark.parametrize('composed', [False, True])
+def test_answers_to_the_simulated_robot_are_timed(composed):
+    pytest.importorskip('rclpy')
+    timing, _ = ros_loop.run_loop(200.0, 3.0, composed=composed)
+    assert timing['lost'] < timing['samples'] / 2
+
+
 def test_the_full_fit_finds_the_friction_that_was_simulated(robot, gains):
     axis, bundle = fit.simulated(robot, gains, {}, 250.0)
     case = fit.fit_everything(bundle, axis)
