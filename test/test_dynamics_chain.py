@@ -86,6 +86,13 @@ def test_the_closed_form_gives_lagranges_equations_and_the_kernel_solves_them(n,
     work = records.build(chain.work_layout(n), tau=torque)
     chain.accelerations(q, dq, chain.constants_of(arm), work)
     np.testing.assert_allclose(work.acceleration, ddq, rtol=1e-10, atol=1e-12)
+    work.implicit = implicit = np.linspace(0.0, 0.7, n)
+    chain.accelerations(q, dq, chain.constants_of(arm), work)
+    held = m.mass + np.diag(implicit)
+    np.testing.assert_allclose(work.acceleration, np.linalg.solve(held, m.mass @ ddq), rtol=1e-10)
+    between = np.empty((n, n))
+    chain.mass_between(np.arange(n), chain.constants_of(arm), work, between)
+    np.testing.assert_allclose(between, held, rtol=1e-10)
 
 
 @pytest.mark.parametrize('n', [2, 3])

@@ -122,7 +122,8 @@ def test_a_planar_chain_written_as_urdf_has_the_terms_of_the_closed_form(tmp_pat
     for one, other in zip(matrices(q, dq, ddq, d3q, planar),
                           matrices(q, dq, ddq, d3q, lifted), strict=True):
         np.testing.assert_allclose(other, one, rtol=0, atol=1e-12 * max(1.0, np.abs(one).max()))
-    work, m = [records.build(chain.work_layout(n), tau=ddq) for _ in range(2)], []
+    work, m = [records.build(chain.work_layout(n), tau=ddq, implicit=[0.3, 0.6])
+               for _ in range(2)], []
     for arm, space in zip((planar, lifted), work, strict=True):
         terms, out, between = chain.constants_of(arm), np.empty((2, n)), np.empty((n, n))
         chain.accelerations(q, dq, terms, space)

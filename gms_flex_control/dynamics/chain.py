@@ -38,10 +38,13 @@ def work_layout(n) -> np.dtype:
     Return the dtype of the kernels' work space, of any kind of arm with n joints.
 
     ``tau`` (n,), torques on the links [N m], and ``acceleration`` (n,), what they cause
-    [rad/s^2]; the rest is the kernels' own.
+    [rad/s^2]; ``implicit`` (n,) stands on the diagonal of M where `accelerations`, `mass_solve`
+    and `mass_between` take it, so that viscous friction of an implicit step may act [kg m^2];
+    the rest is the kernels' own.
     """
     return records.layout(
-        *((name, FLOAT, (n,)) for name in ('tau', 'acceleration', 'cosine', 'sine', 'right')),
+        *((name, FLOAT, (n,)) for name in ('tau', 'acceleration', 'implicit', 'cosine', 'sine',
+                                           'right')),
         ('matrix', FLOAT, (n, n)), *planar.work_fields(n), *spatial.work_fields(n))
 
 

@@ -119,6 +119,12 @@ def accelerations(q, dq, links, work) -> None:
             right[i] -= moved * omega[j] * omega[j]
             right[j] += moved * omega[i] * omega[i]
     mass_matrix(links, work)
+    for k in range(n):
+        if work.implicit[k] != 0.0:
+            for i in range(n):
+                for j in range(i + 1):
+                    work.matrix[j, i] += (links.inverse[k, i] * work.implicit[k]
+                                          * links.inverse[k, j])
     factorise(work.matrix)
     solve_factorised(work.matrix, right)
     multiply(links.inverse, right, work.acceleration)
@@ -160,6 +166,7 @@ def mass_between(carried, links, work, out) -> None:
                         cos_ik = (work.cosine[i] * work.cosine[k] + work.sine[i] * work.sine[k])
                         out[a, b] += part * (links.coupling[i, k] * cos_ik
                                              + links.rigid_inertia[i, k])
+        out[a, a] += work.implicit[carried[a]]
 
 
 @compiled

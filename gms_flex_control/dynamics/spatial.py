@@ -183,6 +183,7 @@ def accelerations(q, dq, links, work) -> None:
         work.acceleration[i] = work.tau[i] - work.right[i]
         for j in range(i, links.motor_inertia.shape[0]):
             work.factor[i, j] = work.matrix[i, j]
+        work.factor[i, i] += work.implicit[i]
     vec.factorise(work.factor)
     vec.solve_factorised(work.factor, work.acceleration)
 
@@ -212,6 +213,7 @@ def mass_between(carried, links, work, out) -> None:
     for a in range(carried.shape[0]):
         for b in range(carried.shape[0]):
             out[a, b] = work.matrix[carried[a], carried[b]]
+        out[a, a] += work.implicit[carried[a]]
 
 
 @compiled

@@ -207,7 +207,7 @@ class Term(Effect):
         """
         Change the signals of one joint; compiled, so plain scalar code only.
 
-        ``s``, ``p`` and ``memory`` point to the signals of the joint (signals.py), the values of
+        ``s``, ``p`` and ``memory`` point to the signals of the joint as named above, the values of
         ``parameters`` and ``memory_size`` numbers of its own; ``dt`` is the substep, the sample
         period in stage SENSOR [s].
         """

@@ -132,16 +132,10 @@ def advance_tangents(j, a, displacement, d_displacement, velocity, d_dq, dt, sta
 
 
 @compiled_part
-def mobility(carried, resistance, links, work, out) -> None:
-    """
-    Write the inverse of M between the ``carried`` joints, all others held, to ``out``.
-
-    ``resistance`` (n,) is added to the diagonal, see `resist`.
-    """
+def mobility(carried, links, work, out) -> None:
+    """Write the inverse of M between the ``carried`` joints, all others held, to ``out``."""
     m = carried.shape[0]
     chain.mass_between(carried, links, work, out)
-    for a in range(m):
-        out[a, a] += resistance[carried[a]]
     for pivot in range(m):  # Gauss-Jordan; M is positive definite
         reciprocal = 1.0 / out[pivot, pivot]
         out[pivot, pivot] = 1.0
@@ -157,47 +151,21 @@ def mobility(carried, resistance, links, work, out) -> None:
 
 @compiled_part
 def accelerate(torque, factor, further, joint, period, q, dq, half, state, links, friction,
-               resistance, work) -> None:
+               work) -> None:
     """
     Write accelerations under ``torque``, friction times ``factor`` (n,), and ``further``.
 
     Where an encoder counts (``half`` above 0), viscous friction is that of the rate in the middle
     of a sample. Taken at its beginning it passes for inertia, which noise hides, but no counts.
-    What it adds to M is written to ``resistance`` (n,) [kg m^2].
     """
     gms.total(state, dq, friction, work.friction)
     for j in range(q.shape[0]):
         work.chain.tau[j] = torque[j] - factor[j] * work.friction[j]  # Eq. (1), link
         row = gms.FORWARD if state.direction[j] > 0.0 else gms.BACKWARD
         middle = 0.5 * period if half[j] > 0.0 else 0.0
-        resistance[j] = middle * factor[j] * friction.viscous[row, j]
+        work.chain.implicit[j] = middle * factor[j] * friction.viscous[row, j]
     work.chain.tau[joint] += further
     chain.accelerations(q, dq, links, work.chain)
-    resist(resistance, links, work.chain)
-
-
-@compiled_part
-def resist(resistance, links, work) -> None:
-    """Change accelerations by M to those by M with ``resistance`` (n,) on its diagonal."""
-    n = resistance.shape[0]
-    if not resistance.any():
-        return
-    columns, unit = np.zeros((n, n)), np.zeros(n)  # of the inverse, joint by joint
-    for j in range(n):
-        unit[j] = 1.0
-        chain.mass_solve(unit, links, work, columns[j])
-        unit[j] = 0.0
-        for i in range(j):  # Sherman and Morrison
-            take_off(columns[i], resistance[i], i, columns[j])
-        take_off(columns[j], resistance[j], j, work.acceleration)
-
-
-@compiled_part
-def take_off(column, resistance, j, out) -> None:
-    """Take off ``out`` (n,) what a ``resistance`` of joint ``j`` does, ``column`` of M^-1."""
-    share = resistance * out[j] / (1.0 + resistance * column[j])
-    for i in range(out.shape[0]):
-        out[i] -= share * column[i]
 
 
 @compiled_part
@@ -287,7 +255,7 @@ def predict(angle, rate, torque, factor, extra, coefficients, period, links, fri
     d_seen = np.zeros((m, width))
     d_displacement, d_level = np.zeros(width), np.zeros(width)
     d_torque = np.zeros((m, state.torque.shape[1], width))
-    yielding, seen, resistance = np.empty((m, m)), np.empty(m), np.empty(n)
+    yielding, seen = np.empty((m, m)), np.empty(m)
     for k in range(samples):
         for j in range(n):
             predicted[k, j] = at_sample(q[j], dq[j], period)
@@ -301,9 +269,9 @@ def predict(angle, rate, torque, factor, extra, coefficients, period, links, fri
         if k == samples - 1:
             break
         accelerate(torque[k], factor[k], further_torque(coefficients, extra[k]), joint, period,
-                   q, dq, half, state, links, friction, resistance, work)
+                   q, dq, half, state, links, friction, work)
         if k % _SAME_POSE == 0:
-            mobility(carried, resistance, links, work.chain, yielding)
+            mobility(carried, links, work.chain, yielding)
         for a in range(m):
             j = carried[a]
             middle = 0.5 * period * work.chain.acceleration[j] if half[j] > 0.0 else 0.0
@@ -358,7 +326,7 @@ def simulate_freely(angle, rate, torque, factor, extra, coefficients, period, li
     """
     samples, n = angle.shape
     q, dq, free_q, free_dq = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    error, none, resistance = np.empty(n), np.zeros(n), np.empty(n)
+    error, none = np.empty(n), np.zeros(n)
     begin(angle, rate, torque[0], period, state, q, dq, friction)
     start = 0
     for k in range(samples - 1):
@@ -368,13 +336,12 @@ def simulate_freely(angle, rate, torque, factor, extra, coefficients, period, li
                 for j in range(n):
                     predicted[start, step, j] = at_sample(free_q[j], free_dq[j], period)
                 one_step(torque[k + step], factor[k + step], extra[k + step], coefficients, joint,
-                         none, gains, period, free_q, free_dq, half, freed, links, friction,
-                         resistance, work)
+                         none, gains, period, free_q, free_dq, half, freed, links, friction, work)
             start += 1
         for j in range(n):
             error[j] = outside(angle[k, j] - at_sample(q[j], dq[j], period), half[j])
         one_step(torque[k], factor[k], extra[k], coefficients, joint, error, gains, period, q, dq,
-                 half, state, links, friction, resistance, work)
+                 half, state, links, friction, work)
 
 
 @compiled_part
@@ -389,10 +356,10 @@ def copy_state(state, q, dq, freed, free_q, free_dq) -> None:
 
 @compiled_part
 def one_step(torque, factor, extra, coefficients, joint, error, gains, period, q, dq, half, state,
-             links, friction, resistance, work) -> None:
+             links, friction, work) -> None:
     """Advance links and blocks by one sample, in place."""
     accelerate(torque, factor, further_torque(coefficients, extra), joint, period, q, dq, half,
-               state, links, friction, resistance, work)
+               state, links, friction, work)
     advance_links(error, gains, period, q, dq, work)
     for j in range(q.shape[0]):
         gms.advance_joint(j, state, work.displacement[j], dq[j], period, friction)
