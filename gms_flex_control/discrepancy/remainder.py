@@ -7,6 +7,8 @@ explains what is missing much better than an effect of the catalogue does, the e
 resembles what is there.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.describe import torque_scale
@@ -162,8 +164,8 @@ class Free(NamedTuple):
     joint: str
     equation: str      # 'link' or 'motor'
     variable: str
-    triangles: tuple   # of ndarray (S, K): its values along each recording
-    noise: tuple | None = None  # likewise: how they differ in two null simulations, None if not
+    triangles: Callable  # -> list of ndarray (S, K): its values along each recording
+    noise: Callable | None = None  # likewise: how they differ in two null simulations
     evidence: float = -np.inf   # 2 log, over the model it is added to
     torque: float = 0.0         # rms of what it adds [N m]
 
@@ -175,7 +177,7 @@ class Free(NamedTuple):
 
 class FreeFunctions:
     """
-    All free functions along the recordings of a Likelihood.
+    All free functions along the recordings of a Likelihood; their values fill memory.
 
     What encoders misread is in rates, torsion and residuals alike: friction steps where a rate is
     misread. Functions are cleared of what that adds, as derivatives by known parameters are.
@@ -210,13 +212,13 @@ class FreeFunctions:
         scaled = level * rows
         _, occam = np.linalg.slogdet(np.eye(len(rows)) + (
             scaled * likelihood.weights(least.sums)) @ scaled.T)
-        torque = np.concatenate(free.triangles) @ least.added
+        torque = np.concatenate(free.triangles()) @ least.added
         return free._replace(
             evidence=finite(normal.alone.cost - least.cost - occam - 2.0 * np.log(len(self._all))),
             torque=float(np.sqrt(np.mean(torque ** 2))))
 
     def _rows(self, free):
-        """Return whitened residuals (K, R) of triangles and noise; all functions' fill memory."""
+        """Return whitened residuals (K, R) of triangles and noise."""
         whitened, n = self._likelihood.whitened, self._likelihood.robot.n_joints
         j = self._likelihood.robot.joints.index(free.joint)
 
@@ -224,8 +226,8 @@ class FreeFunctions:
             rows = whitened.rows_of_each(values, j + n * (free.equation == 'motor'))
             return (rows - whitened.rows_of_each(values, j + n) if free.variable == 'torsion'
                     else rows)
-        rows = rows_of(free.triangles)
-        return rows, np.zeros_like(rows) if free.noise is None else rows_of(free.noise)
+        rows = rows_of(free.triangles())
+        return rows, np.zeros_like(rows) if free.noise is None else rows_of(free.noise())
 
     def left_in(self, model, columns, ranked=None) -> Free | None:
         """Return the Free function, of ``ranked`` ones or all, that a model lacks, or None."""
@@ -272,7 +274,7 @@ def _shapes(likelihood, j):
     """
     Return triangles over variables of joint ``j``, and how null simulations of them differ.
 
-    Both dict of list of ndarray (S, K); the second where noise is not small beside the variable.
+    Both by name as of `Free`; the second where noise is not small beside the variable.
     """
     motions, found, noise = likelihood.motions, {}, {}
     own, *null = ([variables(motion, j) for motion in run]
@@ -280,6 +282,7 @@ def _shapes(likelihood, j):
     others = [of_others(motion, j) for motion in motions]
     longest = max(motion.time[-1] - motion.time[0] for motion in motions)
     moving, *ways = ([_direction(one['link rate']) for one in run] for run in (own, *null))
+    turned = [one - two for one, two in zip(*ways, strict=True)]
     for name in (*_OF_FUNCTIONS, *(name for name in others[0] if name.startswith('link angle'))):
         if name == 'torsion' and (likelihood.robot.arm.rigid[j]
                                   or likelihood.robot.joints[j] in likelihood.unseen):
@@ -288,22 +291,38 @@ def _shapes(likelihood, j):
         # a block of time that is left out must not hold a knot alone
         knots = int(np.clip(longest / (2.0 * BLOCK), 3, _OF_TIME)) if name == 'time' else _KNOTS
         at = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, knots)))
-        found[name] = [_hats(one, at) for one in values]
+        found[name] = partial(_along, values, at)
         if name in _READ:
-            noise[name] = [_hats(one[name], at) - _hats(two[name], at)
-                           for one, two in zip(*null, strict=True)]
+            noise[name] = partial(_apart, *([one[name] for one in run] for run in null), at)
         if name in _DIRECTED:
             directed = f'{name} times the direction of motion'
-            found[directed] = [
-                hats * way[:, None] for hats, way in zip(found[name], moving, strict=True)]
-            noise[directed] = [hats * (one - two)[:, None] for hats, one, two in zip(
-                found[name], *ways, strict=True)]
+            found[directed] = partial(_along, values, at, moving)
+            noise[directed] = partial(_along, values, at, turned)
     return found, noise
+
+
+def _along(values, at, factors=None):
+    """Return triangles (S, K) of each of values (S,), with tops at knots (K,), times factors."""
+    found = [_hats(one, at) for one in values]
+    return found if factors is None else [
+        hats * factor[:, None] for hats, factor in zip(found, factors, strict=True)]
+
+
+def _apart(ones, twos, at):
+    """Return by how much the triangles of values (S,) differ, list of (S, K)."""
+    return [_hats(one, at) - _hats(two, at) for one, two in zip(ones, twos, strict=True)]
 
 
 def _hats(values, at):
     """Return triangles (S, K) of values (S,) with their tops at knots (K,)."""
-    return np.stack([np.interp(values, at, unit) for unit in np.eye(len(at))], axis=1)
+    hats = np.zeros((len(values), len(at)))
+    if len(at) == 1:
+        return hats + 1.0
+    left = np.clip(np.searchsorted(at, values) - 1, 0, len(at) - 2)
+    share = np.clip((values - at[left]) / np.diff(at)[left], 0.0, 1.0)
+    sample = np.arange(len(values))
+    hats[sample, left], hats[sample, left + 1] = 1.0 - share, share
+    return hats
 
 
 def _direction(rate):

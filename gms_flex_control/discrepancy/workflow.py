@@ -103,8 +103,8 @@ def find_discrepancy(
 def _compared(motions, holdout, robot, options, say):
     """Return the Discrepancy of motions with a robot as believed."""
     say('null simulations: what recordings look like in which nothing is missing')
-    likelihood, _ = with_white_noise(Likelihood(motions, robot, options.seed))
-    likelihood, found = _searched(likelihood, options, say)
+    likelihood, found = _searched(
+        with_white_noise(Likelihood(motions, robot, options.seed))[0], options, say)
     say('held-out prediction')
     searched = found
     functions = FreeFunctions(likelihood)
@@ -187,7 +187,7 @@ def _searched(likelihood, options, say):
                                     and is_within(likelihood, model, thresholds.PLAUSIBLE)):
             break
         say('once more, with the noise of such a robot')
-        found = found._replace(dictionary=None)  # two of them would fill the memory
+        found = sound = found._replace(dictionary=None)  # two of them would fill the memory
         likelihood = likelihood.simulated_as(model)
         # beside more effects there is less that may be taken for noise
         likelihood = likelihood.with_noise(np.minimum(noise, white_noise(
