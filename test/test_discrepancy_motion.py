@@ -6,7 +6,7 @@ from dataclasses import replace
 from bench.hidden_robots.plants import draw_belief, draw_robot
 from core_runs import single_axis
 from discrepancy_runs import FRICTIONLESS
-from gms_flex_control.data.recording import mean_held, Recording
+from gms_flex_control.data.recording import Recording, resample_held
 from gms_flex_control.discrepancy.motion import make_motion, standing
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
@@ -59,7 +59,7 @@ def test_the_mean_of_what_was_held_is_that_of_a_fine_grid():
     since = np.cumsum(rng.integers(10, 31, 400)) * 1e-4
     torque = rng.standard_normal((400, 2))
     time = since[0] + 2e-3 * np.arange(int((since[-1] - since[0]) / 2e-3) + 1)
-    mean = mean_held(torque, since, time, 2e-3)
+    mean = resample_held(torque, since, time, 2e-3)
     fine = time[:, None] + (np.arange(20) + 0.5) * 1e-4
     held = torque[np.searchsorted(since, fine, side='right') - 1]
     assert mean == pytest.approx(held.mean(axis=1), abs=1e-9)

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 from core_runs import single_axis
 from gms_flex_control import friction as gms
+from gms_flex_control.data.recording import later
 from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table
 from gms_flex_control.effects.base import Stage
-from gms_flex_control.effects.catalogue.reading import torque_at_angles
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import EffectSpec, FrictionParams, StribeckParams
 from gms_flex_control.simulation import plant
@@ -32,7 +32,7 @@ def single_rigid():
 def test_torques_are_moved_to_where_the_angles_belong(delay):
     """By whole samples exactly; by parts of them the two torques share each sample."""
     torque = np.random.default_rng(4).standard_normal((50, 2))
-    moved = torque_at_angles(torque, 2e-3, delay)
+    moved = later(torque, 2e-3 * np.arange(51), delay)
     whole, part = divmod(round(delay / 2e-3, 9), 1.0)
     for k in range(10, 40):
         source = k - int(whole)

@@ -15,6 +15,7 @@ _EVEN = 1e-3       # of a period: times nearer than that to even ones are even
 _EARLY = 0.3       # of a period by which a stamp may be before its sample; late ones fill the rest
 _OFF = 0.02        # relative, by which the median step may miss the period
 _FEWEST = 16       # samples that show a clock
+_BEYOND = 1.0       # for how long the first and the last value are held outside a recording [s]
 _BEGIN = 256       # samples in which the period is looked for first, then in four times as many
 _STEP = 0.125      # periods by which candidates differ over all samples
 
@@ -190,6 +191,16 @@ def means_held(values: np.ndarray, ends: np.ndarray, edges: np.ndarray) -> np.nd
     return (np.diff(impulse, axis=0).T / np.diff(edges)).T
 
 
+def later(values: np.ndarray, edges: np.ndarray, delay: float) -> np.ndarray:
+    """
+    Return means between ``edges`` (T + 1,) [s] of values (T, ...) held there, ``delay`` [s] later.
+
+    The first and the last are held beyond the edges.
+    """
+    ends = np.concatenate([[edges[0] - _BEYOND], edges, [edges[-1] + _BEYOND]])
+    return means_held(np.concatenate([values[:1], values, values[-1:]]), ends, edges - delay)
+
+
 def on_even_clock(recording: Recording) -> Recording:
     """
     Return a Recording with its samples at even times if its angles are smoother so.
@@ -282,10 +293,11 @@ def held_torque(recording: Recording, time: np.ndarray, period: float) -> np.nda
                        'recording; record /effort_controller/commands or the effort of '
                        '/joint_states too')
     torque = recording.commanded()
-    return torque if time is recording.time else mean_held(torque, recording.time, time, period)
+    return (torque if time is recording.time
+            else resample_held(torque, recording.time, time, period))
 
 
-def mean_held(torque: np.ndarray, since: np.ndarray, time: np.ndarray,
+def resample_held(torque: np.ndarray, since: np.ndarray, time: np.ndarray,
               period: float) -> np.ndarray:
     """Return the mean from each of even times (T,) on of torques (K, n) held ``since`` (K,)."""
     until = np.append(since, max(since[-1], time[-1]) + 2.0 * period)

@@ -63,7 +63,7 @@ def guesses_of(likelihood, excluded=(), fine=None, only=None) -> list:
                 continue
             scales = likelihood.scales_of(joint)._replace(fine_orders=fine[at] if fine else ())
             lower, upper = kind.search_bounds(at, robot)
-            if kind.torque_acted and robot.n_joints == 1 and commanded:
+            if kind.torque_delay and robot.n_joints == 1 and commanded:
                 upper = [0.0]  # of a single joint a drive that is late does the same
             found += [(name, joint, allowed(guess, lower, upper))
                       for guess in kind.guesses(scales)]

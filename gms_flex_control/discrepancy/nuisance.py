@@ -12,6 +12,7 @@ from functools import partial
 from typing import NamedTuple
 
 from gms_flex_control import records
+from gms_flex_control.data.recording import later
 from gms_flex_control.discrepancy.motion import Motion
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.arm import ArmParams
@@ -140,7 +141,12 @@ def recorded(motion, values) -> Motion:
 
 def _misrecorded(robot):
     """Return the effects of a robot that are errors of recorded torques, list of EffectSpec."""
-    return [spec for spec in robot.effects if find(spec.name).torque_acted]
+    return [spec for spec in robot.effects if find(spec.name).torque_delay]
+
+
+def _later(torque, period, delay):
+    """Return torques (T, n) held over samples as means over these if they act later [s]."""
+    return later(torque, period * np.arange(len(torque) + 1), delay)
 
 
 def acting(motions, robot) -> tuple:
@@ -152,7 +158,7 @@ def acting(motions, robot) -> tuple:
     wrong = _misrecorded(robot)
     for spec in wrong:
         motions = [motion.with_torque((spec.name, *spec.values), partial(
-            find(spec.name).torque_acted, period=motion.samples.period, values=spec.values))
+            _later, period=motion.samples.period, delay=find(spec.name).torque_delay(spec.values)))
             for motion in motions]
     return motions, replace(robot, effects=tuple(
         spec for spec in robot.effects if spec not in wrong)) if wrong else robot
@@ -181,7 +187,8 @@ def as_recorded(run, motion, acted, robot) -> Motion:
     def back(held):
         beside = held - acted.samples.command
         for spec in reversed(wrong):
-            beside = find(spec.name).torque_recorded(beside, motion.samples.period, spec.values)
+            beside = _later(beside, motion.samples.period,
+                            -find(spec.name).torque_delay(spec.values))
         return motion.samples.command + beside
     return run.with_torque('as recorded', back) if wrong else run
 

@@ -107,9 +107,7 @@ class Effect(ABC):
     fed_forward = False       # a torque that follows smoothly from what a controller measures
     acts_along_motion = True  # what was measured is enough to compute it
     estimated_with_arm = False  # identification finds it anew with the arm
-    # static methods (torque, period, values): recorded torques (T, n_joints) [N m] as they acted,
-    # and those that acted as recorded, held over samples; None of no error of recorded torques
-    torque_acted = torque_recorded = None
+    torque_delay = None       # values -> by which recorded torques act later than stamped [s]
 
     @staticmethod
     def is_custom(values, period: float, commanded: bool) -> bool:
@@ -123,7 +121,7 @@ class Effect(ABC):
     @staticmethod
     @abstractmethod
     def guesses(scales) -> list:
-        """Return how the effect might act on a joint of Scales (guess.py), list of Guess."""
+        """Return how the effect might act on a joint of Scales, list of Guess."""
 
     @classmethod
     def typical(cls, scales) -> tuple:

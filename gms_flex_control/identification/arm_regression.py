@@ -29,6 +29,7 @@ from gms_flex_control.identification.arm_differences import (
     Unknowns,
 )
 from gms_flex_control.identification.arm_rows import described_scales, rows_of, SLIPS
+from gms_flex_control.identification.axis_fit import COULOMB
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     Base,
@@ -60,6 +61,7 @@ _LEAST_SHARE = 0.1  # of a step that is taken where steps go to and fro
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them
 _LOADED = 5.0       # standard errors beyond which friction grows with the load
 _ADDS = 0.005       # and at least so much of the torque carried
+FRICTION, LOAD, DELAY = 'friction', 'load', 'delay'  # parts of what is eliminated for a joint
 
 
 def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> BaseFit:
@@ -156,21 +158,24 @@ class ArmRegression:
         self._memory = 1.0
         self._last = None  # the _Regression of the last step
 
-    def _own(self, j, chosen):
-        """Return the columns that are eliminated for a joint: friction, offsets, delay (S', F)."""
+    def _parts(self, j, chosen):
+        """Return what is eliminated for a joint: dict of str to columns (S', F)."""
         rows, recording = self._rows, self._rows.recording[chosen]
         friction = rows.friction[chosen, j]
-        columns = [friction,
-                   *(alike(friction) * (self._label[recording] == k)[:, None]  # no offset
-                     for k in range(1, len(self._labels))),
-                   *((recording == r)[:, None].astype(float)
-                     for r in range(1, len(self._at.zeros)))]
+        change = [alike(friction) * (self._label[recording] == k)[:, None]  # no offset
+                  for k in range(1, len(self._labels))]
+        parts = {FRICTION: friction, 'change': np.concatenate([friction[:, :0], *change], axis=1),
+                 'offset': (recording[:, None] == np.arange(1, len(self._at.zeros))).astype(float),
+                 'turning': rows.turning[chosen, j]}
         if self._loaded[j]:
-            columns.append(self._load_column(j)[chosen, None])
-        columns.append(rows.turning[chosen, j])  # at last: others are found by place
+            parts[LOAD] = self._load_column(j)[chosen, None]
         if self._sides[j] == 'motor':  # by how much later its torque is recorded than angles
-            columns.append(rows.change[chosen, j:j + 1])
-        return np.concatenate(columns, axis=1)
+            parts[DELAY] = rows.change[chosen, j:j + 1]
+        return parts
+
+    def _own(self, j, chosen):
+        """Return all that is eliminated for a joint (S', F)."""
+        return np.concatenate(list(self._parts(j, chosen).values()), axis=1)
 
     def _expected(self, j):
         """
@@ -181,7 +186,7 @@ class ArmRegression:
         """
         row = np.zeros((1, self._own(j, slice(0, 1)).shape[1]))
         sd = max(_ASYMMETRY_SD * np.sqrt(np.mean(self._rows.torque[:, j] ** 2)), 1e-12)
-        row[0, [0, 4]] = np.array([0.5, -0.5]) * np.sqrt(self._memory) / sd
+        row[0, COULOMB] = np.array([0.5, -0.5]) * np.sqrt(self._memory) / sd  # friction is first
         return row
 
     def _load_column(self, j):
@@ -210,7 +215,8 @@ class ArmRegression:
     def _tried_load(self, j):
         """Return what friction adds per torque carried at one joint, and its standard error."""
         left, rows = self._left(j)
-        columns = np.concatenate([self._load_column(j)[rows, None], self._own(j, rows)], axis=1)
+        others = [part for name, part in self._parts(j, rows).items() if name != LOAD]
+        columns = np.concatenate([self._load_column(j)[rows, None], *others], axis=1)
         return robust_regression.first_coefficient(columns, left, self._rows.block[rows], _MEMORY)
 
     def _left(self, j):
@@ -219,12 +225,24 @@ class ArmRegression:
         left = self._rows.torque[:, j] - self._at.scale[j] * self._torque()[:, j]
         return left[rows], rows
 
-    def _coefficients(self, j, used=slice(None)):
-        """Return those of the columns ``used`` of a joint's own, and what these leave."""
+    def _coefficients(self, j, without=(), **beside):
+        """
+        Return coefficients (F,) of a joint's own columns, dict by name, and what these leave.
+
+        Parts ``without`` are left away, ``beside`` are further ones, columns (S, n, F).
+        """
         left, rows = self._left(j)
-        own = self._own(j, rows)[:, used]
+        parts = {name: part for name, part in self._parts(j, rows).items() if name not in without}
+        parts |= {name: part[rows, j] for name, part in beside.items()}
+        own = np.concatenate(list(parts.values()), axis=1)
         values = np.linalg.lstsq(own, left, rcond=1e-10)[0]
-        return values, left - own @ values
+        ends = np.cumsum([part.shape[1] for part in parts.values()])
+        return dict(zip(parts, np.split(values, ends[:-1]), strict=True)), left - own @ values
+
+    def asymmetries(self) -> np.ndarray:
+        """Return by how much friction forward exceeds the mean of both ways, (n,) [N m]."""
+        return np.array([0.5 * np.subtract(*self._coefficients(j)[0][FRICTION][COULOMB])
+                         for j in range(len(self._sides))])
 
     def _iterate(self):
         rows, layout, at = self._rows, self._layout, self._at
@@ -351,18 +369,15 @@ class ArmRegression:
         """Return the BaseFit."""
         rigid, n, links = self._arm.rigid, len(self._at.scale), self._layout.links
         names, own = names_of(robot.joints, rigid), self._last.normal[links, links]
-        size, offset = 1.0 / np.sqrt(np.diag(own)), np.empty(n)
-        for j in range(n):
-            friction, _ = self._coefficients(j)
-            offset[j] = 0.5 * (friction[0] - friction[4]) / self._at.scale[j]
+        size = 1.0 / np.sqrt(np.diag(own))
         return BaseFit(
             tuple(names[k] for k in self._base.lead),
             tuple((UNITS * n)[k] if k < 10 * n else 'kg m^2' for k in self._base.lead),
             tuple(meaning_of(row, names) for row in self._base.combination), self._at.links,
             self._base.combination @ all_parameters(self._arm),
             self._covariance[0][links, links],
-            float(np.sqrt(np.linalg.cond(own * np.outer(size, size)))), offset, *self.nearest,
-            self.differences())
+            float(np.sqrt(np.linalg.cond(own * np.outer(size, size)))),
+            self.asymmetries() / self._at.scale, *self.nearest, self.differences())
 
     def differences(self) -> Differences:
         """Return the Differences of the recordings."""
@@ -376,16 +391,13 @@ class ArmRegression:
         level, change = np.ones((len(labels), n)), np.zeros((len(labels), n, 4))
         for j in range(n):
             values, _ = self._coefficients(j)
-            at = 4 + 4 * len(labels)
-            offset[1:, j] = values[at:at + len(offset) - 1]
-            change[1:, j] = values[8:at].reshape(-1, 4)
+            offset[1:, j] = values['offset']
+            change[1:, j] = values['change'].reshape(-1, 4)
             level[1:, j] = 1.0 + relative_change(
                 rows.friction[:, j], rows.rate[:, j], self._label[rows.recording],
-                values[:8], change[1:, j])
+                values[FRICTION], change[1:, j])
             if self._loaded[j]:
-                self._loaded[j] = False
                 loaded[:, j] = self._tried_load(j)
-                self._loaded[j] = True
         return Differences(self._at.scale, scale_sd, self._prior_sd, self._at.zeros, zero_sd,
                            offset, labels, level, change[self._label], self._usual,
                            *loaded, self.loads(), self._found_coupled())

@@ -47,6 +47,7 @@ RIPPLE = TorqueRipple.name
 SKEWED = 0.3       # part of the deflection's torque that goes with the velocity, at most
 _FEWEST = 60       # moving rows
 _NOISE_SD = 0.5    # to which the share of the torsion's variance that is noise is known
+COULOMB = [0, 4]   # columns of friction_regressors of Coulomb friction forward and backward
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there, or if cancelled

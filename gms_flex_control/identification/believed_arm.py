@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.data.recording import means_held, Recording
+from gms_flex_control.data.recording import later, Recording
 from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.effects.catalogue.reading import RecordingDelay
 from gms_flex_control.identification.arm_fit import two_sided
-from gms_flex_control.identification.arm_regression import ArmRegression, driven_arm
+from gms_flex_control.identification.arm_regression import ArmRegression, DELAY, driven_arm
 from gms_flex_control.identification.arm_rows import SLIPS, SPRINGY
 from gms_flex_control.identification.assumed_robot import only_joints
 from gms_flex_control.identification.axis_fit import fit_spring
@@ -39,7 +39,6 @@ _SHOWN = 0.9        # of the torque that links and friction leave, where links a
 _CUSTOM_SHOWN = 0.97  # likewise, of all joints together, where half of all machines are so
 _AGREE = 3.0        # standard deviations between two sources of one number
 _ALIKE = 0.5        # of what friction differs by both ways: an offset of a spring explains more
-_BEYOND = 1.0       # for how long the first and the last torque act outside a recording [s]
 _OF_LINKS = ('mass', 'com', 'inertia', 'motor_inertia')
 _NUMBERS = (*_OF_LINKS, 'stiffness')
 _WORTH_WORDS = 0.005  # of a stiffness
@@ -57,9 +56,7 @@ class Believed(NamedTuple):
         torque, time = recording.tau_motor.copy(), recording.time
         for j in np.flatnonzero(self.delay):
             known = np.flatnonzero(np.isfinite(torque[:, j]))
-            held = np.append(torque[known, j], torque[known[-1], j])
-            ends = np.concatenate([[time[0] - _BEYOND], time[known], [time[-1] + _BEYOND]])
-            torque[known[1:], j] = means_held(held, ends, time[known] - self.delay[j])
+            torque[known[1:], j] = later(torque[known[1:], j], time[known], self.delay[j])
         return replace(recording, tau_motor=torque, q_motor=recording.q_motor - self.zero)
 
     def words(self, robot: RobotParams) -> str:
@@ -197,7 +194,6 @@ class _WithinBelief(ArmRegression):
 
     _settles = False
     _slips = (*SLIPS, *SPRINGY)
-    _judges = False
 
     def __init__(self, recordings, robot, sides, arm, base, agreed, **options):
         super().__init__(recordings, robot, sides, arm, base, **options)
@@ -224,26 +220,16 @@ class _WithinBelief(ArmRegression):
             precision[part] *= self._memory
         return precision
 
-    def _own(self, j, chosen):
-        own = super()._own(j, chosen)
-        return np.concatenate([self._soft[chosen, j], own], axis=1) if self._judges else own
-
     def believed(self) -> Believed:
         """Return the arm as described, unless some torque is explained far better by another."""
         arm, at, springs = self._robot.arm, self._at, np.array(self._sides) == 'spring'
         found = replace(self.nearest[0], stiffness=np.where(
             springs, arm.stiffness / at.scale, arm.stiffness))
-        self._judges = True
         beside = self._unexplained()
         self._at = replace(at, links=self._links, scale=np.ones(len(at.scale)))
         if np.any(beside < _SHOWN * self._unexplained()):
             arm, self._at = found, at
         return Believed(arm, self._delays(~springs), np.zeros(len(springs)))
-
-    def asymmetries(self) -> np.ndarray:
-        """Return by how much friction forward exceeds the mean of both ways, (n,) [N m]."""
-        return np.array([0.5 * np.subtract(*self._coefficients(j)[0][[0, 4]])
-                         for j in range(len(self._sides))])
 
     def _delays(self, by_motors):
         """
@@ -253,9 +239,9 @@ class _WithinBelief(ArmRegression):
         """
         late, left = np.zeros(len(by_motors)), np.ones(len(by_motors))
         for j in np.flatnonzero(by_motors):
-            values, rest = self._coefficients(j)
-            late[j] = values[-1]
-            left[j] = rms(rest) / rms(self._coefficients(j, slice(-1))[1])  # without the delay
+            values, rest = self._judged(j)
+            late[j] = values[DELAY][0]
+            left[j] = rms(rest) / rms(self._judged(j, without=DELAY)[1])
         usual = any(by_motors) and np.exp(np.mean(np.log(left[by_motors]))) < _CUSTOM_SHOWN
         custom = [bool(usual) and RecordingDelay.is_custom((one,), self._period, self._commanded)
                   for one in late]
@@ -263,4 +249,7 @@ class _WithinBelief(ArmRegression):
 
     def _unexplained(self):
         """Return rms torques (n,) that neither links nor friction explain [N m]."""
-        return np.array([rms(self._coefficients(j)[1]) for j in range(len(self._sides))])
+        return np.array([rms(self._judged(j)[1]) for j in range(len(self._sides))])
+
+    def _judged(self, j, without=()):
+        return self._coefficients(j, without, soft=self._soft)

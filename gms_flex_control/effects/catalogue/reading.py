@@ -46,27 +46,8 @@ class LinkEncoderEccentricity(Term):
         s[sig.SENSED_LINK_RATE] += p[0] * np.cos(s[sig.Q_LINK] + p[1]) * s[sig.DQ_LINK]
 
 
-_BEYOND = 1.0  # for how long the first and the last torque are held outside the recording [s]
 # samples: drives report the torque at an instant, or that which follows, half a one or one late
 _CUSTOMARY = 1.2
-
-
-def torque_at_angles(torque, period, delay) -> np.ndarray:
-    """
-    Return torques (T, n_joints) as they acted where the recorded angles belong.
-
-    Mean over each sample of ``torque`` as recorded, held over samples of a ``period`` [s]; all
-    angles are older than the torques by ``delay`` [s]. The same delay seen from the torques:
-    exact, where clearing angles of it amplifies their noise from some frequency below 1 / (6
-    delay) on.
-    """
-    edges = np.arange(len(torque) + 1) * period
-    times = np.concatenate([[-_BEYOND], edges, [edges[-1] + _BEYOND]])
-    lengths = np.concatenate([[_BEYOND], np.full(len(torque), period), [_BEYOND]])
-    held = np.concatenate([torque[:1], torque, torque[-1:]]) * lengths[:, None]
-    total = np.concatenate([np.zeros_like(torque[:1]), np.cumsum(held, axis=0)])
-    return np.stack([np.diff(np.interp(edges - delay, times, column)) / period
-                     for column in total.T], axis=1)
 
 
 class RecordingDelay(Term):
@@ -87,6 +68,7 @@ class RecordingDelay(Term):
                         'recording at once')
     of_feedback = True
     of_recording = True
+    torque_delay = staticmethod(lambda values: values[0])
     parameters = (Parameter('delay', 's', 'by which all angles are older than the torques',
                             lower=-0.02, upper=0.02, typical=3e-3),)
     guesses = staticmethod(lambda s: linear(0.0005))
@@ -94,14 +76,6 @@ class RecordingDelay(Term):
     @staticmethod
     def is_custom(values, period, commanded) -> bool:
         return not commanded and 0.0 < values[0] < _CUSTOMARY * period
-
-    @staticmethod
-    def torque_acted(torque, period, values) -> np.ndarray:
-        return torque_at_angles(torque, period, values[0])
-
-    @staticmethod
-    def torque_recorded(torque, period, values) -> np.ndarray:
-        return torque_at_angles(torque, period, -values[0])
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
