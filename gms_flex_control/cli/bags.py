@@ -1,5 +1,5 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
-"""The verb `view`: a bag or the running loop in a browser."""
+"""Verbs that look at bags: `view` in a browser, `info` and `record`."""
 
 from contextlib import nullcontext
 from dataclasses import asdict

@@ -206,8 +206,7 @@ def evidence_shares(functions, model, worths, left, beside, somewhere) -> list:
 def joints_left(likelihood, model, free) -> tuple:
     """Return the joints (str) in which a model leaves more than noise, or a Free function."""
     quiet = excess_torque(likelihood, model) <= np.maximum(
-        thresholds.LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
-        likelihood.caution * clean_torque(likelihood))
+        likelihood.largest_noise, likelihood.caution * clean_torque(likelihood))
     quiet = np.all(quiet.reshape(2, -1), axis=0)  # not where it is not finite
     return tuple(name for name, is_quiet in zip(likelihood.robot.joints, quiet, strict=True)
                  if not is_quiet or free is not None and name == free.joint)

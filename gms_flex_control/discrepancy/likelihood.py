@@ -135,6 +135,11 @@ class Likelihood:
         friction = self.robot.friction
         return 0.5 * (friction.forward.coulomb + friction.backward.coulomb)
 
+    @property
+    def largest_noise(self) -> np.ndarray:
+        """Return the most that is called noise behind the low-pass, by equation (2 n,) [N m]."""
+        return LARGEST_NOISE * np.tile(self.coulomb, 2)
+
     # --- noise -------------------------------------------------------------------------------
 
     def _simulate(self, robot, x):

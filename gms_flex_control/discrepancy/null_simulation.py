@@ -23,7 +23,6 @@ from gms_flex_control.discrepancy.motion import make_motion
 from gms_flex_control.discrepancy.nuisance import OF_SHAPE
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.samples import encoder_step
-from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE
 from gms_flex_control.discrepancy.whitening import Band, Grams
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import base as sig
@@ -139,7 +138,7 @@ def is_followed(likelihood, model) -> bool:
         return False
     own = whitened.behind_low_pass(likelihood.unexplained(runs, model.robot, model.x))
     most = np.maximum(whitened.in_motion([one ** 2 for one in likelihood.torque(model)]),
-                      (LARGEST_NOISE * np.tile(likelihood.coulomb, 2)) ** 2)
+                      likelihood.largest_noise ** 2)
     return bool(np.all(whitened.in_motion([one ** 2 for one in own])
                        <= _WILD * most))  # not where it is not finite
 

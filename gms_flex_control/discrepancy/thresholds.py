@@ -2,7 +2,7 @@
 """The numbers that decide, each with its meaning and where it comes from."""
 
 # Improvement of held-out residual torque that matters in practice, as a share of Coulomb friction:
-# effects that improve it less are listed apart and change no verdict. Twice the noise below.
+# effects that improve it less are listed apart and change no verdict. A choice.
 PRACTICAL = 0.01
 
 # Share of the torque that the believed model leaves which acceleration must take for free runs to
@@ -10,7 +10,7 @@ PRACTICAL = 0.01
 INERTIAL = 0.1
 
 # White noise that is added to null simulations, as a share of Coulomb friction, rms up to
-# whitening.HIGHEST, so that filters' own errors never count.
+# whitening.HIGHEST, so that filters' own errors never count: half of what matters.
 PRACTICAL_FLOOR = 0.5 * PRACTICAL
 
 # 2 log evidence that an effect must add, beyond the prior odds of one effect among all

@@ -7,7 +7,7 @@ in some.
 """
 
 from gms_flex_control.discrepancy.result import Noise
-from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
+from gms_flex_control.discrepancy.thresholds import PRACTICAL_FLOOR
 import numpy as np
 
 _MEDIAN = 0.4549       # of the square of a standard normal number
@@ -70,8 +70,7 @@ def white_noise(likelihood, model) -> np.ndarray:
                                   / _MEDIAN * (1.0 + 1.0 / np.sqrt(here.sum())))
             if excess:
                 out[m, c] = np.sqrt(max(min(excess) + likelihood.noise[m, c] ** 2, 0.0))
-    most = LARGEST_NOISE * np.tile(likelihood.coulomb, 2)
-    return np.minimum(out, most / noise_response(likelihood))
+    return np.minimum(out, likelihood.largest_noise / noise_response(likelihood))
 
 
 def noise_response(likelihood) -> float:

@@ -40,16 +40,30 @@ FROZEN, FROZEN_WARN, FROZEN_REFUSE = 5, 0.002, 0.3   # samples; shares repeated 
 BEYOND = 2.0                    # times the limits of a URDF: angles that far out are no radians
 # torque
 CLIPPED_WARN, CLIPPED_REFUSE = 0.005, 0.5  # shares of the moving samples
+CLIP_TRAVEL = 0.05, 0.02        # a joint moves that travels in so long [s] this share of its most
+CLIP_TOP = 0.3                  # of the largest torque: a lower extreme of one sign is no limit
+CLIP_AT, CLIP_BELOW = 1e-6, 0.01  # of the range: at the extreme, and right below it
+CLIP_REPEATS = 5                # samples at the extreme that do not change
+CLIP_RARE, CLIP_ALONE = 0.2, 0.3  # of these: as many that stand elsewhere are steps of a torque
+CLIP_DENSE = 4                  # times as many samples at the extreme as right below it
 FEWEST_ROWS = 40                # of a fit
 TRAVEL = 30                     # encoder steps a joint must move for its torque to be judged
 CLEAR = 0.5                     # of the variance a fit must explain to be believed
 APART = 0.3                     # of the variance by which one sign must explain more
+LOOSE = 0.5                     # of the variance: less explains no reversed torque, gravity free
+OTHER_SIDE = 0.1                # of the stiffness: less is no spring with sides as they are
+LATE = 0.1                      # of the torsion's variance that goes with the velocity: read late
+LATE_FACTOR = 3.0               # times SCALE_STIFFNESS then
 EXACT = 0.95                    # a fit as good as this is no delay between encoders
 SCALE_STIFFNESS = 4.0           # refused beyond this factor of what the spring says
 SCALE_INERTIA = (3.0, 8.0)      # warned about, refused: inertia of a rigid joint is less known
+SCALE_SHOWN = 0.6               # of the variance explained, from which a factor is said
 SCALE_SLIGHT, NEARLY_ALL = 50.0, 0.9  # refused where friction is more of the variance than this
 UNEXPLAINED = 0.2               # of the variance: less than this is no fit at all
 # exchanged channels
+EXCHANGED = 0.3                 # of the variance left by each torque at the other joint, at most
+EXCHANGED_SHARE = 0.25          # of what both leave where they stand
+SIDE_SLOPE_ALONE = 5.0          # slope, or its inverse, that no deflection makes, torque unknown
 SIDE_FACTOR = 8.0               # torque of the spring over that of the motor that cannot be
 SIDE_SLOPE, SIDE_FIT = (0.5, 2.0), 0.9     # motor angle over link angle, correlation
 

@@ -1,8 +1,8 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
-The method of this project: all friction parameters of a joint refined together, multi-start.
+All friction parameters of a joint refined together, from many starts.
 
-First blocks with fixed yield displacements, spread over decades, and free weights: a smooth
+First come blocks with fixed yield displacements, spread over decades, and free weights: a smooth
 problem that finds the shape of the presliding curve from far away. Then blocks of equal weight
 at the quantiles of that shape, for several N; the data held out choose among them. The observer
 of the predictor is stiff at first and soft in the end: stiff, each innovation depends on the

@@ -52,9 +52,10 @@ def saturated(signals: Recording) -> list[Finding]:
         clipped = _at_an_extreme(tau)
         if not clipped.any():
             continue
-        width = max(1, round(0.05 / signals.period))
+        lasting, part = limits.CLIP_TRAVEL
+        width = max(1, round(lasting / signals.period))
         travel = np.abs(q[2 * width:] - q[:-2 * width])
-        moving = np.pad(travel > max(0.02 * np.nanmax(travel, initial=0.0), 2 * quantum(q)),
+        moving = np.pad(travel > max(part * np.nanmax(travel, initial=0.0), 2 * quantum(q)),
                         width)
         share = np.sum(clipped & moving) / max(np.sum(moving), 1)
         if share >= limits.CLIPPED_WARN:
@@ -78,16 +79,18 @@ def _at_an_extreme(tau):
     for sign in (1.0, -1.0):
         value = sign * tau
         top = value[known].max()
-        if top < 0.3 * largest:
+        if top < limits.CLIP_TOP * largest:
             continue
-        at = value >= top - 1e-6 * span
-        below = (value >= top - max(1.5 * quantum(tau), 0.01 * span)) & ~at
+        at = value >= top - limits.CLIP_AT * span
+        below = (value >= top - max(1.5 * quantum(tau), limits.CLIP_BELOW * span)) & ~at
         repeats = np.sum(still & at)
-        rare = np.sum(still & ~at & (tau != 0)) < 0.2 * repeats
-        if repeats >= 5 and (rare or at.sum() > 4 * below.sum()):
+        rare = np.sum(still & ~at & (tau != 0)) < limits.CLIP_RARE * repeats
+        if repeats >= limits.CLIP_REPEATS and (
+                rare or at.sum() > limits.CLIP_DENSE * below.sum()):
             clipped |= at
     # a torque in steps stands still at every level, not only at the outer ones
-    return clipped & (np.sum(still & ~clipped & (tau != 0)) < 0.3 * np.sum(clipped))
+    return clipped & (np.sum(still & ~clipped & (tau != 0))
+                      < limits.CLIP_ALONE * np.sum(clipped))
 
 
 def physics(signals: Recording, robot: RobotParams, rough: bool) -> list[Finding]:
@@ -142,7 +145,8 @@ def _balance_sign(balance, j):
     # a joint that is not driven by its torque takes no work from it in the end
     power = tau * balance.motion.dq_link[:, j]  # friction takes work
     driven = np.sum(power) / max(np.sum(np.abs(power)), 1e-300) > limits.CLEAR
-    return -1 if clear and not driven and loose.as_is < max(loose.opposite, 0.5) else 0
+    return -1 if clear and not driven and loose.as_is < max(
+        loose.opposite, limits.LOOSE) else 0
 
 
 def _spring_sign(balance, j):
@@ -151,9 +155,10 @@ def _spring_sign(balance, j):
     tau = motion.tau[:, j]
     explained, gain = spring_fit(tau, motion.ddq_motor[:, j], torsion)
     explained_other, gain_other = spring_fit(tau, motion.ddq_link[:, j], -torsion)
-    if explained > limits.CLEAR and gain > limits.CLEAR and gain_other < 0.1:
+    if explained > limits.CLEAR and gain > limits.CLEAR and gain_other < limits.OTHER_SIDE:
         return 1
-    if explained_other > limits.CLEAR and gain_other > limits.CLEAR and gain < 0.1:
+    if (explained_other > limits.CLEAR and gain_other > limits.CLEAR
+            and gain < limits.OTHER_SIDE):
         return -1
     return 0
 
@@ -173,8 +178,9 @@ def _spring_scale(balance, j):
     ratios, limit = [], limits.SCALE_STIFFNESS
     rest = np.stack([torsion, motion.dq_link[:, j]])
     exact = balance.spring_share(tau, j) > limits.EXACT
-    if not exact and rest[1].any() and np.corrcoef(rest)[0, 1] ** 2 > 0.1:
-        limit *= 3.0  # read late, one encoder adds a part of the velocity to the torsion
+    if not exact and rest[1].any() and np.corrcoef(rest)[0, 1] ** 2 > limits.LATE:
+        # read late, one encoder adds a part of the velocity to the torsion
+        limit *= limits.LATE_FACTOR
     for others in [[motion.ddq_motor[:, j]]] if exact else (
             [], [motion.ddq_motor[:, j]], [motion.dq_motor[:, j]],
             [motion.ddq_motor[:, j], motion.dq_motor[:, j]]):
@@ -214,7 +220,8 @@ def _inertia_scale(balance, j):
     friction = sign_fit(motion.tau[rows, j], friction_columns(motion.dq_link[rows, j]),
                         [np.ones(int(rows.sum()))]).as_is
     whole = fits[0]
-    if whole.as_is < 0.6 or (whole.as_is - friction) < limits.CLEAR * (1 - friction):
+    more = whole.as_is - friction
+    if whole.as_is < limits.SCALE_SHOWN or more < limits.CLEAR * (1 - friction):
         return
     ratio = float(whole.weights[0])
     factor = max(ratio, 1.0 / ratio) if ratio > 0.0 else np.inf
@@ -255,7 +262,7 @@ def _side_scales(balance):
         torsion = balance.arm.stiffness[j] * np.std(y - x)
         tau = motion.tau[:, j]
         torn = torsion > limits.SIDE_FACTOR * np.std(tau) if np.isfinite(tau).all() else abs(
-            np.log(abs(slope) + 1e-12)) > np.log(5.0)
+            np.log(abs(slope) + 1e-12)) > np.log(limits.SIDE_SLOPE_ALONE)
         low, high = limits.SIDE_SLOPE
         if abs(fit) > limits.SIDE_FIT and not low < slope < high and (torn or slope < 0.0):
             found.append(Finding(
@@ -281,8 +288,9 @@ def _exchanged_torques(balance):
         straight = [1 - explained(i, i), 1 - explained(j, j)]
         if sum(1 - explained(k, k, -1.0) for k in (i, j)) < sum(crossed):
             continue  # both are reversed, as `_directions` says
-        if max(crossed) < 0.3 and sum(crossed) < 0.25 * sum(straight) and all(
-                a < b for a, b in zip(crossed, straight, strict=True)):
+        if (max(crossed) < limits.EXCHANGED
+                and sum(crossed) < limits.EXCHANGED_SHARE * sum(straight)
+                and all(a < b for a, b in zip(crossed, straight, strict=True))):
             first, second = balance.joints[i], balance.joints[j]
             found.append(Finding(
                 'swapped_torques', first, 'refuse', f'{balance.source}: the torques of {first} '
