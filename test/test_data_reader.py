@@ -156,6 +156,39 @@ def test_joints_are_found_by_name_whatever_their_order(tmp_path):
     np.testing.assert_array_equal(chosen.q_motor[:, 0], 9700 + k)
 
 
+def moving(names, courses):
+    """Return states with names, each on a course: sample -> position."""
+    return [(k * PERIOD, cdr.pack_joint_states(
+        names, [k * PERIOD], [[course(k) for course in courses]], None, None)[0])
+        for k in range(100)]
+
+
+LEFT, RIGHT = (lambda k: np.sin(0.1 * k)), (lambda k: np.sin(0.15 * k))
+
+
+@pytest.mark.parametrize('links', [('joint1', 'joint2'), ('q 1', 'q 2')])
+@pytest.mark.parametrize('courses', [(LEFT, RIGHT), (LEFT, LEFT)])
+def test_links_that_the_robot_calls_otherwise_are_not_taken_for_absent(tmp_path, links, courses):
+    """By the name of their motors, or because they move with them, all alike or not."""
+    springs = [lambda k, course=course: course(k) + 0.02 * np.sin(k) for course in courses]
+    motors = ('joint1_motor', 'joint2_motor')
+    path = write_bag(tmp_path / 'bag', moving((*links, *motors), (*courses, *springs)))
+    with pytest.raises(BagError, match="lacks link 'shoulder', 'elbow' but has "
+                       f'{links[0]}, {links[1]}, which the robot does not; rename in `joints`'):
+        read_recording(path, ['shoulder', 'elbow'], motors)
+
+
+@pytest.mark.parametrize('others', [
+    {'gripper': RIGHT}, {'rail': lambda k: 0.0}, {'a': LEFT, 'b': LEFT},
+    {'joint9': LEFT, 'joint9_motor': LEFT}])
+def test_motors_alone_are_read_beside_names_of_other_things(tmp_path, others):
+    """A gripper, a thing at rest, more joints on the same course than lack a link, a whole one."""
+    path = write_bag(tmp_path / 'bag', moving(('joint1_motor', *others), (LEFT, *others.values())))
+    with pytest.warns(BagWarning, match='which this robot has not: left out'):
+        recording = read_recording(path, ['joint1'], ['joint1_motor'])
+    assert recording.motors_alone.all()
+
+
 def test_one_joint_of_a_bag_has_its_own_columns_of_commands_and_references(tmp_path):
     """The messages were made for both joints; a robot file may describe but one of them."""
     recording = make_recording()
@@ -285,6 +318,11 @@ BAD = [
     ({'states': [*GOOD, (5 * PERIOD, cdr.pack_joint_states(
         ('a', 'b', 'b_motor'), [5 * PERIOD], [[0.0, 0.0, 1e300]], None, None)[0])]},
      "/joint_states has position 1e+300 rad for 'b_motor' at 0.010 s; is it in counts?"),
+    ({'states': [*GOOD, (5 * PERIOD, cdr.pack_joint_states(
+        ('a', 'b', 'b_motor'), [5 * PERIOD], [[0.0] * 3], None, [[0.0, 0.0, 1e300]])[0])]},
+     "/joint_states has effort 1e+300 N m for 'b_motor' at 0.010 s; is it in counts?"),
+    ({'states': GOOD, 'commands': [(1, cdr.pack_command([1e300, 2.0], 0))]},
+     "/effort_controller/commands has torque 1e+300 N m for 'a' at 0.000 s; is it in counts?"),
     ({'states': [state(k, ('a', 'b', 'b')) for k in range(5)]},
      "topic '/joint_states' names 'b' more than once; who publishes it?"),
     ({'states': [*GOOD, (5 * PERIOD, GOOD[0][1][:60])]},

@@ -9,9 +9,13 @@ from gms_flex_control.data.conditions import conditions_of, with_conditions
 from gms_flex_control.data.recording import MOTOR_SUFFIX, on_even_clock, Phase, Recording, Topics
 from gms_flex_control.data.series import names_of, Series
 from gms_flex_control.errors import BagError
-from gms_flex_control.params.key import LARGEST_STATE
+from gms_flex_control.params.key import LARGEST, LARGEST_STATE
 import numpy as np
 
+# of columns, by how their names begin: what, unit, the largest of any joint
+_QUANTITIES = {'q': ('position', 'rad', LARGEST_STATE), 'dq': ('velocity', 'rad/s', LARGEST_STATE),
+               'tau': ('effort', 'N m', LARGEST),
+               'command': ('torque', 'N m', LARGEST)}
 _LABELS = ('phase', 'joint', 'step')
 
 
@@ -68,8 +72,8 @@ def _read(path, joints, motors, topics=None):
     series.require_names()
     bag.warn()
     joints, motors = series.resolved()
-    series.note_others(joints, motors)
     begin, columns = _columns(path, series, motors)
+    series.note_others(joints, motors)
     recording = on_even_clock(Recording(joints=joints, source=str(path), **columns))
     recording = with_conditions(recording, conditions_of(path), motors, series.require_names())
     return recording, begin, bag, (phases, messages)
@@ -95,14 +99,17 @@ def _columns(path, series, motors):
     columns = {'time': (stamps - stamps[0]) * 1e-9}
     columns['q_link'], columns['q_motor'] = series.states('position', order)
     columns['dq_link'], columns['dq_motor'] = series.states('velocity', order)
-    names = {'link': series.resolved()[0], 'motor': motors}
-    for name, values in columns.items():
-        if name != 'time':
-            _refuse_huge(f'{path}: {series.topics.joint_states}', name, values,
-                         names[name.partition('_')[2]], columns['time'])
+    series.refuse_renamed(stamps, columns['q_motor'])
     columns['tau_motor'] = np.where([not name for name in motors],
                                     *series.states('effort', order))
     columns['command'] = series.commands(stamps, received, period)
+    joints = series.resolved()[0]
+    driven = [motor or joint for joint, motor in zip(joints, motors, strict=True)]
+    for name, values in columns.items():
+        if name != 'time':
+            topic = series.topics.command if name == 'command' else series.topics.joint_states
+            _refuse_huge(f'{path}: {topic}', name, values,
+                         driven if name.endswith('_motor') else joints, columns['time'])
     columns['reference'] = series.reference(stamps, received, period)
     columns['friction_hat'] = series.friction(stamps)
     columns['supply'] = series.supply(stamps, received)
@@ -110,11 +117,11 @@ def _columns(path, series, motors):
 
 
 def _refuse_huge(where, name, values, names, time):
-    """Raise BagError for an angle or velocity (T, n) that no joint has; NaN and inf are none."""
-    bad = np.argwhere((np.abs(values) > LARGEST_STATE) & np.isfinite(values))
+    """Raise BagError for a value (T, n) that no joint has; NaN and inf are none."""
+    what, unit, most = _QUANTITIES[name.partition('_')[0]]
+    bad = np.argwhere((np.abs(values) > most) & np.isfinite(values))
     if len(bad):
         k, j = bad[0]
-        what, unit = ('velocity', 'rad/s') if name.startswith('d') else ('position', 'rad')
         raise BagError(f'{where} has {what} {values[k, j]:g} {unit} for {names[j]!r} at '
                        f'{time[k]:.3f} s; is it in counts? Leave that part out, or convert it')
 

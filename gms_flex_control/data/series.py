@@ -17,6 +17,8 @@ _REACH = 1.5             # a reference further away than this many periods is no
 _SAMPLES = 2**15         # samples that are worked on at once, for the sake of memory
 _BLOCK = 4096            # messages of a topic that wait to be decoded together
 _TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late message [ns]
+# correlation, least and largest slope between a motor's angle and that of its link
+_ALONG = 0.98, 0.8, 1.25
 # of the Topics
 _TYPES = (cdr.JOINT_STATE, cdr.MULTI_ARRAY, cdr.MULTI_ARRAY, cdr.JOINT_STATE, cdr.MULTI_ARRAY)
 
@@ -105,6 +107,7 @@ class Series:
         self._chosen = joints, motors
         self._waiting = {topic: ([], []) for topic in topics}  # receive times, messages
         self._first, self._tables, self._places = None, (), None
+        self._strays = {}  # a table of each name that nobody claimed and a link may have
 
     def collect(self, further) -> None:
         """Read the bag; messages of ``further`` topics are put into their lists."""
@@ -139,6 +142,8 @@ class Series:
                                                   strict=False):
                     if name == topic and self._has_type(topic, type_name):
                         table.add(times, messages)
+                        for stray in self._strays.values() if name == self.topics[0] else ():
+                            stray.add(times, messages)
                 times.clear()
                 messages.clear()
 
@@ -149,6 +154,7 @@ class Series:
         except BagError:  # raised again once the bag is known to be sound
             return ()
         n, links = len(joints), link_names(self.require_names())
+        self._strays = {name: JointTable((name,), ('position',)) for name in self._unclaimed()}
         self._places = [links.index(name) for name in joints] if set(joints) < set(links) else None
         widest = n if self._places is None else len(links)
 
@@ -205,6 +211,42 @@ class Series:
                 raise BagError(f'{self._path}: topic {self.topics.joint_states!r} names {name!r} '
                                'more than once; who publishes it?')
         return tuple(joints), tuple(motors)
+
+    def _lone(self):
+        """Return the motor of each joint that has no link angle, by the joint's name (dict)."""
+        names = self.require_names()
+        return {joint: motor for joint, motor in zip(*self.resolved(), strict=True)
+                if joint not in names and motor in names}
+
+    def _unclaimed(self):
+        """Return names that may be those of links without an angle, none if all have one."""
+        names, (joints, motors) = self.require_names(), self.resolved()
+        others = {*names} - {*joints, *motors}
+        return [name for name in names if self._lone() and name in others
+                and not name.endswith(MOTOR_SUFFIX) and name + MOTOR_SUFFIX not in others]
+
+    def refuse_renamed(self, stamps, q_motor) -> None:
+        """
+        Raise BagError if links without an angle have one by another name.
+
+        As many as lack one must be named like a motor, or move along with one, ``q_motor`` (T, n):
+        a gripper does not, and further joints on the same course are more.
+        """
+        lone, joints, along = self._lone(), self.resolved()[0], {}
+        for name, table in self._strays.items():
+            times, angles = table.take('stamps'), table.take('position')[:, 0]
+            _, here, there = np.intersect1d(stamps, times, return_indices=True)
+            along[name] = [joint for joint in lone if _moves_along(
+                q_motor[here, joints.index(joint)], angles[there])]
+        found = [[name for name in along if name + MOTOR_SUFFIX == motor]
+                 or [name for name in along if joint in along[name]]
+                 for joint, motor in lone.items()]
+        alike = dict.fromkeys(sum(found, []))
+        if alike and all(found) and len(alike) == len(lone):
+            raise BagError(
+                f'{self._path}: topic {self.topics.joint_states!r} lacks link '
+                f'{", ".join(map(repr, lone))} but has {", ".join(alike)}, which the robot does '
+                'not; rename in `joints`, or give --joints')
 
     def note_others(self, joints, motors) -> None:
         """Issue a BagWarning if there are more joints than those that were asked for."""
@@ -297,6 +339,17 @@ class Series:
         at, known = (stamps, labels) if stamped.any() else (received, times)
         known, first = np.unique(known[own], return_index=True)
         return np.interp(at, known, values[own][first, 0])
+
+
+def _moves_along(motor, link):
+    """Return whether an angle (T,) may be that of the link that a motor (T,) drives."""
+    known = np.isfinite(motor) & np.isfinite(link)
+    if known.sum() < 2:
+        return False
+    x, y = (side[known] - side[known].mean() for side in (motor, link))
+    fit, low, high = _ALONG
+    return bool(x @ y > fit * np.sqrt((x @ x) * (y @ y)) and low * (x @ x) < x @ y
+                and x @ y < high * (x @ x))
 
 
 def _one_voltage(_dims, count):

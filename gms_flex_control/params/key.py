@@ -12,6 +12,7 @@ import numpy as np
 REQUIRED = object()
 _NO_UNIT = '', '1'
 LARGEST_STATE = 1e6  # beyond it an angle or velocity is a fault, though finite [rad, rad/s]
+LARGEST = 1e9  # likewise a torque, a mass, or what else a robot has, in SI units
 SMALLEST = 1e-12  # of what must be above zero
 _NAMES = {'double': 'a number', 'integer': 'a whole number', 'string': 'a text',
           'boolean': 'true or false', 'double_array': 'a list of numbers',
