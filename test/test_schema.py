@@ -4,6 +4,7 @@
 from dataclasses import fields, replace
 from pathlib import Path
 import re
+import warnings
 
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.experiment.simulated import read_plan, simulate
@@ -116,6 +117,26 @@ def test_whole_numbers_are_taken_for_doubles(tmp_path):
     assert files.load_robot(path).arm.mass[1] == 2.0
 
 
+def test_identified_friction_before_the_robot_file_is_said_to_be_lost(tmp_path, robot):
+    """Given last it wins in silence; so does friction that was identified anew, or a part."""
+    plain = written(tmp_path, ROBOT)
+    named = tmp_path / 'friction.yaml'
+    files.save_robot(replace(robot, identified_from=('bag, 10.000 s',)), named)
+    alone = tmp_path / 'alone.yaml'
+    files.save_values({name: value for name, (value, _) in files.read_parameters(named).items()
+                       if name.startswith('friction.')}, alone)
+    for first in (named, alone):
+        with pytest.warns(UserWarning, match=f'friction of {first} is not used.* give it last'):
+            files.load_robot([first, plain])
+    part = tmp_path / 'part.yaml'
+    files.save_values({'friction.joint1.attraction': 2.0}, part)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        for order in ([plain, named], [plain, alone], [plain, plain], [named, named],
+                      [named, alone], [named, part], [plain, named, part]):
+            files.load_robot(order)
+
+
 def test_a_file_may_hold_robot_and_controller_and_settings_of_nodes(robot, tmp_path):
     whole = ROBOT + CONTROLLER.split('ros__parameters:\n')[1] + '    rate: 1000.0\n'
     path = written(tmp_path, whole)
@@ -130,7 +151,7 @@ WRONG = [
     ('mass: 2.3 ', 'mass: .nan ', 'arm.joint1.mass must be finite, got nan'),
     ('mass: 2.3 ', f'mass: 1{400 * "0"} ', 'arm.joint1.mass must be finite, got inf'),
     ('inertia: 0.0075 ', 'inertia: -0.0075 ',
-     'arm.joint2.inertia must be at least 0 kg m^2, got -0.0075'),
+     'arm.joint2.inertia must be from 0 to 1e+09 kg m^2, got -0.0075'),
     ('motor_inertia: 0.006 ', 'motor_inertai: 0.006 ',
      'arm.joint1.motor_inertai is not a known parameter; did you mean '
      "'arm.joint1.motor_inertia'?"),

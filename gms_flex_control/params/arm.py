@@ -12,6 +12,8 @@ from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.key import (
     freeze_arrays,
     keys_of,
+    LARGEST,
+    LARGEST_STATE,
     number,
     require_finite,
     require_shape,
@@ -76,20 +78,21 @@ class ArmParams:
     """
 
     kind: str  # of ARM_KINDS: links in one plane, uncoupled axes, a chain in space
-    mass: np.ndarray = number('mass of the link', 'kg', 0.0, 0.0)
-    length: np.ndarray = number('distance to the next joint', 'm', 0.0, 0.0)
-    com: np.ndarray = number('centre of mass from the joint', 'm', 0.0)
+    mass: np.ndarray = number('mass of the link', 'kg', 0.0, 0.0, LARGEST)
+    length: np.ndarray = number('distance to the next joint', 'm', 0.0, 0.0, LARGEST)
+    com: np.ndarray = number('centre of mass from the joint', 'm', 0.0, -LARGEST, LARGEST)
     inertia: np.ndarray = number('inertia about the centre of mass; mass com^2 comes on top. '
                                  'Of a linear axis all that moves',
-                                 'kg m^2', lower=0.0, unless=('arm.kind', 'urdf', 0.0))
+                                 'kg m^2', lower=0.0, upper=LARGEST,
+                                 unless=('arm.kind', 'urdf', 0.0))
     motor_inertia: np.ndarray = number('motor inertia reflected to the joint', 'kg m^2', lower=0.0,
-                                       unless=('arm.kind', 'urdf', 0.0))
+                                       upper=LARGEST, unless=('arm.kind', 'urdf', 0.0))
     stiffness: np.ndarray = number('stiffness of the joint; .inf for a rigid one', 'N m/rad',
                                    lower=SMALLEST, unless=('arm.kind', 'urdf', np.inf))
-    damping: np.ndarray = number('damping of the joint', 'N m s/rad', 0.0, 0.0)
+    damping: np.ndarray = number('damping of the joint', 'N m s/rad', 0.0, 0.0, LARGEST)
     offset: np.ndarray | None = number(
         'angle of the link where the joint reads 0, from the x axis or the link before it', 'rad',
-        0.0, default=None)
+        0.0, -LARGEST_STATE, LARGEST_STATE, default=None)
     gravity: np.ndarray = 0.0  # (x, y) [m/s^2], g stands for (0, -g); (3,) of the base in space
     axes: str = 'rotary'       # of linear ones m stands for rad, N for N m, kg for kg m^2
     frames: Frames | None = None  # of a chain in space

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.key import freeze_arrays, keys_of, number, require_ranges
+from gms_flex_control.params.key import freeze_arrays, keys_of, LARGEST, number, require_ranges
 import numpy as np
 
 # gms_paper is the paper's observer, corrected, with tanh; gms the better one, with the sign of the
@@ -18,11 +18,11 @@ class ControllerParams:
     """Gains (n_joints,) each, and the compensation; ParameterError if one is impossible."""
 
     compensation: str  # one of COMPENSATIONS
-    kd_link: np.ndarray = number('K_D1 of the link law', 'N m s/rad', lower=0.0, upper=1e9,
+    kd_link: np.ndarray = number('K_D1 of the link law', 'N m s/rad', lower=0.0, upper=LARGEST,
                                  live=True)  # Eq. (11)
     lambda_link: np.ndarray = number('Lambda_1 of the link law', '1/s', lower=0.0, upper=1e4,
                                      live=True)
-    kd_motor: np.ndarray = number('K_D2 of the motor law', 'N m s/rad', lower=0.0, upper=1e9,
+    kd_motor: np.ndarray = number('K_D2 of the motor law', 'N m s/rad', lower=0.0, upper=LARGEST,
                                   live=True)  # Eq. (27)
     lambda_motor: np.ndarray = number('Lambda_2 of the motor law', '1/s', lower=0.0, upper=1e4,
                                       live=True)
@@ -33,7 +33,7 @@ class ControllerParams:
     filter_bandwidth: np.ndarray = number(
         'command filter on the friction estimate, all modes but none and gms_paper', 'rad/s',
         100.0, 1e-3, 1e5, live=True)
-    torque_limit: np.ndarray = number('largest motor torque', 'N m', lower=0.0, upper=1e9,
+    torque_limit: np.ndarray = number('largest motor torque', 'N m', lower=0.0, upper=LARGEST,
                                       live=True)
 
     def __post_init__(self):

@@ -3,6 +3,7 @@
 
 from pathlib import Path
 from textwrap import wrap
+import warnings
 
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.file_io import as_yaml, checked_yaml, write_text
@@ -45,13 +46,26 @@ def _flatten(mapping, prefix, flat):
 
 def read_values(paths) -> tuple[dict, dict]:
     """Return merged flat values of files, later ones winning, and ``file:line`` of each."""
-    values, places = {}, {}
+    values, places, earlier = {}, {}, []
     for path in paths:
-        for name, (value, line) in read_parameters(path).items():
+        given = read_parameters(path)
+        for before, friction in earlier:
+            if 'joints' in given and not _identified(given) and friction <= set(given):
+                warnings.warn(f'the friction of {before} is not used, because {path} states all '
+                              'of it again; give it last', stacklevel=2)
+        friction = {name for name in given if name.startswith('friction.')}
+        if friction and (_identified(given) or 'joints' not in given):
+            earlier.append((path, friction))
+        for name, (value, line) in given.items():
             if name == 'arm.urdf' and isinstance(value, str) and value:
                 value = str(Path(path).absolute().parent / value)
             values[name], places[name] = value, f'{path}:{line}'
     return values, places
+
+
+def _identified(given):
+    """Return whether parameters, from `read_parameters`, say what they were identified from."""
+    return bool(given.get('identified_from', ((), 0))[0])
 
 
 def _built(paths, make):
