@@ -56,18 +56,27 @@ def _remove(temporaries, folders):
 
 @contextmanager
 def atomic_path(path) -> Generator[Path]:
-    """Yield a temporary path beside ``path`` that takes its name when the block succeeds."""
+    """
+    Yield a temporary path beside ``path`` that takes its name when the block succeeds.
+
+    Of a link it takes the place of what the link leads to; a pipe or a device is written itself.
+    """
     path = Path(path)
-    made = not path.parent.exists()
-    make_folder(path.parent, path)
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
+    made = not target.parent.exists()
+    make_folder(target.parent, path)
     # the suffix stays last: writers such as matplotlib choose the format by it
-    temporary = path.with_name(f'.{path.stem}.{os.getpid()}{path.suffix}')
+    temporary = target.with_name(f'.{target.stem}.{os.getpid()}{target.suffix}')
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        temporary = target = path  # a pipe or a device, which no file may replace
     try:
         yield temporary
+        if temporary == target:
+            return
         if (together := _together.get()) is None:
-            os.replace(temporary, path)
+            os.replace(temporary, target)
         else:
-            together[temporary] = path, made
+            together[temporary] = target, made
     except OSError as error:
         # one without a name is of the open file, such as that the disk is full
         if error.filename is not None and Path(error.filename) != temporary:
@@ -75,8 +84,8 @@ def atomic_path(path) -> Generator[Path]:
         raise OSError(error.errno, f'cannot be written ({error.strerror})',
                       str(path)) from error
     finally:
-        if temporary not in (_together.get() or ()):
-            _remove([temporary], [path.parent] * made)
+        if temporary not in (target, *(_together.get() or ())):
+            _remove([temporary], [target.parent] * made)
 
 
 def make_folder(folder, path) -> None:

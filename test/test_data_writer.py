@@ -1,9 +1,11 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Bags written here are read by the libraries of others, and carry the hashes of ROS."""
 
+from contextlib import nullcontext
 import errno
 from importlib import import_module
 import json
+import os
 from pathlib import Path
 import re
 import struct
@@ -11,7 +13,7 @@ import struct
 from gms_flex_control.data import cdr
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
-from gms_flex_control.file_io import atomic_path
+from gms_flex_control.file_io import atomic_path, write_text, written_together
 from mcap.reader import make_reader
 import numpy as np
 import pytest
@@ -163,6 +165,34 @@ def test_a_message_without_a_place_is_refused(tmp_path, topic, time, sentence):
     with BagWriter(tmp_path / 'bag', TYPES) as writer:
         with pytest.raises(BagError, match=re.escape(sentence)):
             writer.write(topic, time, b'')
+
+
+def test_a_link_stays_a_link_and_what_it_leads_to_is_written(tmp_path):
+    (tmp_path / 'there').mkdir()
+    target = tmp_path / 'there' / 'robot.yaml'
+    target.write_text('old')
+    for name, to in (('link', target), ('new', tmp_path / 'there' / 'new.yaml')):
+        (tmp_path / name).symlink_to(to)
+        with written_together():
+            write_text(tmp_path / name, 'written')
+        assert (tmp_path / name).is_symlink() and to.read_text() == 'written'
+    assert {one.name for one in target.parent.iterdir()} == {'robot.yaml', 'new.yaml'}
+
+
+@pytest.mark.parametrize('together', [written_together, nullcontext])
+def test_a_pipe_is_written_and_not_replaced(tmp_path, together):
+    pipe = tmp_path / 'pipe'
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        with together():
+            write_text(pipe, 'written')
+        assert os.read(reader, 100) == b'written' and pipe.is_fifo()
+        with pytest.raises(ValueError, match='half-way'), atomic_path(pipe):
+            raise ValueError('half-way')
+        assert pipe.is_fifo() and list(tmp_path.iterdir()) == [pipe]
+    finally:
+        os.close(reader)
 
 
 def test_a_full_disk_leaves_no_file_and_the_error_names_it(tmp_path):
