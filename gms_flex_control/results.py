@@ -160,7 +160,7 @@ class TuningResult(Result):
     robot: RobotParams
     demands: Demands
     proposal: Proposal
-    trials: dict[str, dict[str, Trial]]  # by compensation and motion
+    trials: dict[str, dict[str, Trial]]  # by compensation and motion; {} of an unstable loop
 
     @property
     def gains(self) -> ControllerParams:
@@ -175,6 +175,9 @@ class TuningResult(Result):
     def summary(self) -> str:
         """Return gains, margins, conditions and expected errors."""
         judgement, timing = self.proposal.judgement, self.demands.timing
+        unmet = [f'NOT MET: {sentence}' for sentence in self.unmet]
+        if not self.trials:
+            return '\n'.join([tuning_page.gains_table(self.gains, self.robot), '', *unmet])
         return in_units(self.robot.arm, '\n'.join([
             tuning_page.gains_table(self.gains, self.robot),
             '\nMargins of the sampled loop, worst of all poses',
@@ -183,7 +186,7 @@ class TuningResult(Result):
             f'\n{tuning_page.conditions_text(judgement.conditions)}',
             f'\nSimulated, exact model\n{tuning_page.trials_table(self.trials, self.robot)}',
             *tuning_page.expected_lines(self.trials, judgement, self.robot),
-            *(f'NOT MET: {sentence}' for sentence in self.unmet)]))
+            *unmet]))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``gms_flex tune`` writes as tuning.json."""
@@ -283,7 +286,8 @@ def tune(robot: RobotParams, gains: ControllerParams, *, rate: float = 500.0, de
     proposal = propose(robot, gains, demands)
     trials: dict[str, dict[str, Trial]] = {}
     unmet = list(proposal.unmet)
-    for mode in dict.fromkeys(('none', gains.compensation)):
+    modes = ('none', gains.compensation) if proposal.judgement.stable else ()
+    for mode in dict.fromkeys(modes):
         trials[mode] = {}
         for motion, trial, run in try_motions(
                 robot, robot, replace(proposal.gains, compensation=mode), demands.timing,

@@ -253,6 +253,15 @@ def test_tune_says_no_where_nothing_fits(tmp_path, axis_file, capsys):
     assert not (tmp_path / 'no' / 'controller.yaml').exists()
 
 
+def test_an_unstable_loop_is_not_simulated_and_the_way_out_is_said(tmp_path, axis_file, capsys):
+    assert main(['tune', '--robot', str(axis_file), '--torque-limit', '2', '--bandwidth', '1e9',
+                 '--out', str(tmp_path / 'no')]) == 1
+    printed = capsys.readouterr().out
+    assert 'axis: the sampled loop is unstable; lower --bandwidth' in printed
+    assert not re.search(r'\b(nan|inf|lost)\b', printed)
+    assert json.loads((tmp_path / 'no' / 'tuning.json').read_text())['trials'] == {}
+
+
 def test_a_torque_limit_that_is_met_is_reported_by_compensation(tmp_path, capsys):
     assert main(['tune', '--torque-limit', '0.1', '--bandwidth', '4', '--out',
                  str(tmp_path)]) == 1

@@ -52,6 +52,10 @@ def loop_lines(judgement, timing) -> list:
 
 def answer_of(proposal, trials, robot, demands, files, folder) -> Answer:
     """Return what error to expect of a Proposal, and its margin (Answer)."""
+    missed = (f'These gains miss {len(proposal.unmet)} '
+              f'requirement{"s" * (len(proposal.unmet) > 1)} (NOT MET, above).')
+    if not trials:
+        return Answer(missed, (), (), command('tune', '--help'))
     mode, judgement, count = list(trials)[-1], proposal.judgement, robot.n_joints
     rms, peak = ([_worse(trials[name], figure, count) for name in ('none', mode)]
                  for figure in ('rms', 'peak'))
@@ -65,9 +69,7 @@ def answer_of(proposal, trials, robot, demands, files, folder) -> Answer:
                  scale=1.0),)
     columns = 'none', mode, 'noise floor, or least required'
     if proposal.unmet:
-        return Answer(f'These gains miss {len(proposal.unmet)} '
-                      f'requirement{"s" * (len(proposal.unmet) > 1)} (NOT MET, above).', columns,
-                      numbers, command('tune', '--help'))
+        return Answer(missed, columns, numbers, command('tune', '--help'))
     again = ('--robot', *files, '--trajectory', Path(folder) / 'trajectory.yaml') if files else ()
     return Answer(
         f'With these gains and compensation {mode} the links follow within {numbers[0].after} '

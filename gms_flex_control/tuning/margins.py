@@ -10,6 +10,7 @@ from gms_flex_control.tuning.linear_loop import compliance, law_of, linear_loop
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
+UNSTABLE = 'the sampled loop is unstable; lower --bandwidth or --delay, or raise --rate'
 _GRID = 400              # frequencies up to half the sample rate
 _LOWEST = 0.05           # of them [rad/s]
 _MOST_SAMPLES = 50.0     # of delay that are looked at
@@ -145,7 +146,7 @@ class Judgement(NamedTuple):
 
     conditions: gain_conditions.GainReport
     joints: tuple            # of JointMargins
-    delay: float             # further delay borne by all joints [s]; infinite if not required for
+    delay: float             # further one all joints tolerate [s]; infinite if not required for
     stable: bool
     jitter: Jitter           # worst of all poses
     ringing: float           # slowest decay of the loop while all blocks stick [1/s]; below 0
@@ -192,9 +193,9 @@ def demands_missed(judgement, demands, robot) -> tuple:
         missed = [f'{joint}: {text}' for text in _joint_missed(judgement, demands, j)]
         sentences += missed
         too_fast += [j] if missed else []
-    if judgement.delay < demands.delay:
-        sentences.append(f'only {1e3 * judgement.delay:.3g} ms of further delay are borne, '
-                         f'required {1e3 * demands.delay:.3g}')
+    if judgement.stable and judgement.delay < demands.delay:
+        sentences.append(f'the loop tolerates {1e3 * judgement.delay:.3g} ms of further delay, '
+                         f'{1e3 * demands.delay:.3g} ms required')
         too_fast = list(range(robot.n_joints))
     broken = [one for one in judgement.conditions.conditions
               if one.kind == gain_conditions.EXACT and not one.met]
@@ -206,7 +207,7 @@ def demands_missed(judgement, demands, robot) -> tuple:
 def _joint_missed(judgement, demands, j):
     one = judgement.joints[j]
     if not judgement.stable:
-        yield 'the sampled loop is unstable'
+        yield UNSTABLE
         return
     if one.gain_up < demands.gain or one.gain_down > 1.0 / demands.gain:
         yield (f'gain margin {one.gain_down:.3g} to {one.gain_up:.3g} times, required '

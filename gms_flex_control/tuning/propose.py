@@ -17,7 +17,7 @@ from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.key import of_joints
 from gms_flex_control.tuning.linear_loop import Timing
-from gms_flex_control.tuning.margins import demands_missed, judged, Judgement
+from gms_flex_control.tuning.margins import demands_missed, judged, Judgement, UNSTABLE
 import numpy as np
 
 _LINK_STEPS, _MOTOR_STEPS = 24, 12
@@ -38,7 +38,7 @@ class Demands(NamedTuple):
     bandwidth: np.ndarray | None = None  # (n,) of the link [rad/s]; None: as much as possible
     gain: float = 2.0          # factor on the torque, up and down
     phase: float = np.pi / 6   # [rad]
-    delay: float = 0.0         # further one that is borne [s]
+    delay: float = 0.0         # further one to be tolerated [s]
     noise: float = 0.1         # rms torque encoders may cause, of the torque limit
 
 
@@ -131,13 +131,18 @@ def _joint_gains(robot, base, demands, joint, cap):
             missed = _missed(axes, gains, own)
             if not missed:
                 return values, []
-            if nearest is None or len(missed) < len(nearest[1]):
+            if nearest is None or _badness(missed) < _badness(nearest[1]):
                 nearest = values, missed
     if nearest is None:
         values = next(_candidates(robot, demands, joint, inertia[1], cap))
         return values, [f'{robot.joints[joint]}: no gains within the bandwidths tried hold the '
                         'exact condition (39); a softer spring or a faster loop is needed']
     return nearest
+
+
+def _badness(missed):
+    """Return what orders sentences of demands missed: an unstable loop is the worst of all."""
+    return any(one.endswith(UNSTABLE) for one in missed), len(missed)
 
 
 def _missed(axes, gains, demands):
