@@ -13,7 +13,13 @@ from gms_flex_control.data.recording import Operation
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.design import determination
 from gms_flex_control.design.determination import experiments_for, missing_of, plan_determination
-from gms_flex_control.design.motions import below_break_away, by_hand, candidates, random_moves
+from gms_flex_control.design.motions import (
+    below_break_away,
+    by_hand,
+    Candidate,
+    candidates,
+    random_moves,
+)
 from gms_flex_control.design.plan import (
     BUDGET,
     INSEPARABLE,
@@ -426,6 +432,16 @@ def test_information_about_what_is_missing_has_all_else_eliminated():
     assert worth.sd == pytest.approx(0.1 / np.sqrt(left))
 
 
+def test_what_a_motion_hardly_determines_is_left_open_in_words():
+    so_far, best = (determination.Worth(Candidate('strokes', 'strokes of both', {}), 0.0,
+                                        np.array(sd)) for sd in ([1.0, 9.0], [0.02, 58.0]))
+    plan = determination.Determination(
+        missing=('blocks of joint2', 'forward level of joint1'), experiments=None, before=so_far,
+        compared=(best,), duration=8.0)
+    assert ('it determines presliding stiffness of joint2 to 2 % (standard deviations) and leaves '
+            'forward Coulomb friction of joint1 open') in plan.sentence()
+
+
 def test_experiments_measure_what_they_can_within_limits(robot, gains):
     """A payload is none of theirs; with a range of nothing there are none."""
     missing = [('static', 'joint1'), ('blocks', 'joint2'), ('inertia', 'joint2')]
@@ -433,7 +449,9 @@ def test_experiments_measure_what_they_can_within_limits(robot, gains):
     assert found.measured == (('static', 'joint1'), ('blocks', 'joint2'))
     assert found.values['identification.experiments'] == ['break_away', 'presliding']
     assert found.values['identification.joints'] == ['joint1', 'joint2']
-    assert found.duration > 10.0 and 'static of joint1, blocks of joint2' in found.sentence()
+    assert found.duration > 10.0
+    assert found.sentence().startswith('break away and presliding of joint1 and joint2, about')
+    assert 'static friction of joint1, presliding stiffness of joint2' in found.sentence()
     assert experiments_for(missing[2:], [robot], gains, LIMITS) is None
     for tight, why in (
             (replace(LIMITS, lower=[-0.02] * 2, upper=[0.02] * 2), 'must be above lower'),
@@ -509,7 +527,7 @@ def test_what_identify_left_open_is_determined_by_the_motion_planned(
     assert best['log_determinant'] == max(one['log_determinant'] for one in values['compared'])
     assert (np.array(best['sd']) < values['sd_before']).all()
     printed = ' '.join(capsys.readouterr().out.split())
-    assert 'attraction of joint2 to' in printed
+    assert 'attraction of joint2 ' in printed and 'blocks' not in printed
     assert 'identification.yaml' in printed and 'by identification_node, measure' in printed
     assert (tmp_path / 'plan' / 'trajectory.yaml').is_file()
     planned, _ = read_values([tmp_path / 'plan' / 'identification.yaml'])

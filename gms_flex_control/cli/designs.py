@@ -13,7 +13,7 @@ from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.conditions import conditions_of, KEYS, OF_ROBOT, repeat_conditions
 from gms_flex_control.data.reader import read_experiment_of
 from gms_flex_control.design import plan as planning
-from gms_flex_control.design.determination import missing_of, plan_determination
+from gms_flex_control.design.determination import in_words, missing_of, plan_determination
 from gms_flex_control.design.excitation import Bounds, plan_excitation, sentence
 from gms_flex_control.design.separation import beliefs_of, closed_loop_plan, loaded
 from gms_flex_control.effects.registry import find
@@ -49,8 +49,8 @@ class Task(NamedTuple):
 
 def next_recording(args) -> int:
     """Write the plan, or carry it out; return 0, or 1 if not all explanations are separated."""
+    refuse_unwritable(args, 'trajectory.yaml', 'identification.yaml')
     out, report = Path(args.out), _report(args.result)
-    refuse_unwritable(out)
     if 'joints' in report:
         return _determine(report, args, out)
     task = _task(report, args)
@@ -115,7 +115,7 @@ def _determine(report, args, out):
             files['experiments'] = out / 'identification.yaml'
             save_values(plan.experiments.values, files['experiments'], comment=experiments)
         write_json(files['numbers'], values)
-    numbers = tuple(Number(f'{name} [%]', *(f'{100.0 * sd:.2g}' for sd in pair), '')
+    numbers = tuple(Number(f'{in_words(name)} [%]', *(f'{100.0 * sd:.2g}' for sd in pair), '')
                     for name, *pair in zip(plan.missing, plan.before.sd, plan.best.sd,
                                            strict=True))
     sentence_of_all = ' '.join(filter(None, (plan.sentence(), experiments)))
@@ -290,11 +290,11 @@ def _as_dict(plan):
 
 def plan(args) -> int:
     """Write the motion and what it is worth; return 0."""
-    refuse_unwritable(args.out)
+    refuse_unwritable(args, 'trajectory.yaml')
     robot = load_robot(args.robot)
     if robot.arm.frames is None:
         raise ConfigError(f'--robot {" ".join(args.robot)}: arm.kind is {robot.arm.kind}; plan '
-                          'needs urdf. identification_node moves axes that are alone')
+                          'needs urdf; for decoupled axes or a planar arm use identification_node')
     limits = load_limits(args.limits, robot.joints) if args.limits else None
     bounds = Bounds.of_robot(robot, limits, args.acceleration or np.inf)
     with in_one_thread():

@@ -31,12 +31,19 @@ import numpy as np
 _OPEN = 'not identifiable', 'doubtful'  # standings of estimates
 _DIRECTIONS = 'forward', 'backward'  # rows of friction parameters
 _SOFTER = tuple(1.25 ** k for k in range(16))  # parts of the quickest acceleration that are tried
+_DETERMINED = 0.3  # relative standard deviation, more of which hardly tells a value from none
 _NOTHING_KNOWN = 1e-4  # prior information, relative, about what was not identified
 # kinds of relative changes that stand for a parameter, by the last part of its name
 _KINDS = {'static': ('static',), 'coulomb': ('level',), 'velocity': ('velocity',),
           'viscous': ('viscous',), 'attraction': ('attraction',), 'weight': ('blocks',),
           'stiffness': ('blocks',), 'mass': ('gravity', 'inertia'), 'com': ('gravity', 'inertia'),
           'inertia': ('inertia',), 'motor_inertia': ('motor_inertia',), 'damping': ('damping',)}
+# kinds as a report calls them
+_CALLED = {'static': 'static friction', 'level': 'Coulomb friction',
+           'velocity': 'Stribeck velocity', 'viscous': 'viscous friction',
+           'blocks': 'presliding stiffness', 'gravity': 'gravity', 'inertia': 'link inertia',
+           'motor_inertia': 'motor inertia', 'damping': 'joint damping',
+           'stiffness': 'joint stiffness'}
 # experiments of identification_node that measure a kind by itself, in its order
 _MEASURED_BY = {'constant_velocity': ('level', 'velocity', 'viscous'), 'break_away': ('static',),
                 'presliding': ('blocks',), 'sliding': ('attraction',)}
@@ -63,10 +70,12 @@ class Experiments(NamedTuple):
         left_out = self.refused and f'Left out within these limits: {self.refused}.'
         if not self.measured:
             return left_out
-        return (f'{" and ".join(self.values["identification.experiments"])} of '
+        names = [one.replace('_', ' ') for one in self.values['identification.experiments']]
+        return (f'{" and ".join(names)} of '
                 f'{" and ".join(self.values["identification.joints"])}, about '
                 f'{self.duration:.0f} s by identification_node, measure '
-                f'{", ".join(" of ".join(key) for key in self.measured)}. {left_out}'.rstrip())
+                f'{", ".join(in_words(" of ".join(key)) for key in self.measured)}. '
+                f'{left_out}'.rstrip())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,10 +95,23 @@ class Determination:
 
     def sentence(self) -> str:
         """Return what to record and what it will determine."""
-        known = ', '.join(f'{name} to {100.0 * sd:.2g} %' for name, sd in zip(
-            self.missing, self.best.sd, strict=True))
-        return (f'Record {self.duration:.0f} s of {self.best.candidate.words}: it is expected to '
-                f'determine {known} (standard deviations).')
+        known, still_open = [], []
+        for name, sd in zip(map(in_words, self.missing), self.best.sd, strict=True):
+            if sd < _DETERMINED:
+                known.append(f'{name} to {100.0 * sd:.2g} %')
+            else:
+                still_open.append(name)
+        both = [f'determines {", ".join(known)} (standard deviations)'] * bool(known)
+        both += [f'leaves {", ".join(still_open)} open'] * bool(still_open)
+        return (f'Record {self.duration:.0f} s of {self.best.candidate.words}: it '
+                f'{" and ".join(both)}, as far as the model is right.')
+
+
+def in_words(missing: str) -> str:
+    """Return a parameter, such as 'forward level of joint1', as a reader would call it."""
+    what, _, joint = missing.partition(' of ')
+    *direction, kind = what.split()
+    return f'{" ".join([*direction, _CALLED.get(kind, kind)])} of {joint}'
 
 
 def missing_of(report: Mapping) -> list[tuple[str, str]]:
