@@ -11,6 +11,7 @@ from bench.hidden_robots.truth import Disturbance
 from discrepancy_runs import driven
 from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.describe import named as described
+from gms_flex_control.discrepancy.describe import paragraph
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, Signature, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
@@ -183,6 +184,25 @@ def test_an_answer_says_where_errors_are_noise_without_the_effects_as_well(named
     loud = replace(quiet, floor=0.5 * gap.retuned)
     said = discrepancy_answer(replace(result, gap=loud), tmp_path).sentence
     assert 'the residual torque grows by 3 %' in said and said.count('either way') == 1
+    for share, words in ((0.9, 'at'), (1.2, 'below')):
+        low = replace(gap, after=0.5 * gap.retuned, floor=share * gap.retuned)
+        said = discrepancy_answer(replace(result, gap=low), tmp_path).sentence
+        assert (f'the residual torque, {words} its noise floor already, shrinks by 50 %'
+                in said)
+        assert 'both to about the noise floor' not in said
+
+
+@pytest.mark.parametrize('loud', [False, True])
+def test_a_model_that_lacks_nothing_is_described_alike_in_long_and_in_short(named, tmp_path, loud):
+    """Where its error exceeds the noise floor the residual is not called noise."""
+    _, result = named
+    gap = replace(result.gap, floor=result.gap.after * (0.5 if loud else 1.0),
+                  free_floor=result.gap.free_after)
+    none = replace(result, verdict=COMPLETE, added=(), not_added=(), findings=(), minor=(),
+                   unexplained=None, gap=gap)
+    said = discrepancy_answer(none, tmp_path).sentence
+    assert paragraph(none, (), ())[0].startswith(said)
+    assert ('by a relevant amount, though its error exceeds the noise floor' in said) == loud
 
 
 @pytest.mark.parametrize('name', registry.names())

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.thresholds import WORSE
 from gms_flex_control.effects.registry import find, in_words, names
+from gms_flex_control.identification.outcome import AT_FLOOR
 import numpy as np
 
 _IN_FULL = 5          # findings that are named in full
@@ -116,6 +117,22 @@ def of_not_added(result) -> str:
             f'{them} predicts everything as well: {are} named and not added.')
 
 
+def of_complete(gap) -> str:
+    """Return a sentence on a model to which no effect is to be added, by its Gap."""
+    floor = 'the noise floor, which encoders and torque noise alone produce.'
+    if all(total(after) <= AT_FLOOR * total(least) for after, least in (
+            (gap.after, gap.floor), (gap.free_after, gap.free_floor))):
+        return ('Nothing that matters is missing: on held-out data the error of the model does '
+                f'not exceed {floor}')
+    return ('No effect of the catalogue improves the prediction of held-out data by a relevant '
+            f'amount, though its error exceeds {floor}')
+
+
+def total(errors) -> float:
+    """Return the root of the sum of squares of errors (n,), NaN left out."""
+    return float(np.sqrt(np.nansum(errors ** 2)))
+
+
 def of_noise(noise) -> str:
     """Return a Noise in words."""
     scale = torque_scale(noise.rms)
@@ -162,8 +179,7 @@ def paragraph(result, unseen, known_off) -> tuple:
 def _verdict(result):
     """Yield what is missing, and what each finding could also be: sentence, whether a detail."""
     if result.verdict == COMPLETE:
-        yield ('Nothing that matters is missing: the residual is noise, and no effect of the '
-               'catalogue improves held-out prediction by as much as matters in practice.', False)
+        yield of_complete(result.gap), False
     shown = result.added[:_IN_FULL]
     if shown:
         yield f'The model lacks {"; ".join(named(one) for one in shown)}.', False

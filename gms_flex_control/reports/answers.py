@@ -210,7 +210,7 @@ def _lacking(result):
         left = result.unexplained
         return ' '.join(filter(None, (
             describe.of_not_added(result), left and 'Something is missing that no effect of the '
-            f'catalogue explains: {left.sentence}'))) or _complete(result.gap)
+            f'catalogue explains: {left.sentence}'))) or describe.of_complete(result.gap)
     effects = ' and '.join(
         f'{one.effect} of {one.joint} ({describe.value_words(one)}'
         + (f'; indistinguishable here from {describe.of_joints(one.indistinguishable_from)})'
@@ -230,27 +230,16 @@ def _lacking(result):
         'noise alone would leave.', describe.of_unexplained(result.unexplained))))
 
 
-def _complete(gap):
-    floor = 'the noise floor, which encoders and torque noise alone produce.'
-    if all(_total(after) <= outcome.AT_FLOOR * _total(least) for after, least in (
-            (gap.after, gap.floor), (gap.free_after, gap.free_floor))):
-        return ('Nothing that matters is missing: on held-out data the error of the model does '
-                f'not exceed {floor}')
-    return ('No effect of the catalogue improves the prediction of held-out data by what matters, '
-            f'though its error exceeds {floor}')
-
-
-def _total(errors):
-    return float(np.sqrt(np.nansum(errors ** 2)))
-
-
 def _change(name, without, found, floor):
     """Return an error's name, how it changes in words, and whether it shrinks to its floor."""
-    before, after, least = map(_total, (without, found, floor))
+    before, after, least = map(describe.total, (without, found, floor))
     share = 1.0 - after / before
-    if share < _CHANGED and max(before, after) <= outcome.AT_FLOOR * least:
+    there, was_there = (one <= outcome.AT_FLOOR * least for one in (after, before))
+    if share < _CHANGED and there and was_there:
         return name, f'{name} is at its noise floor either way', False
     if abs(share) < _CHANGED:
         return name, f'{name} stays as it is', False
-    return (name, f'{name} {"shrinks" if share > 0.0 else "grows"} by {100.0 * abs(share):.0f} %',
-            share > 0.0 and after <= outcome.AT_FLOOR * least)
+    already = ', below its noise floor already,' if before <= least else (
+        ', at its noise floor already,' if was_there else '')
+    return (name, f'{name}{already} {"shrinks" if share > 0.0 else "grows"} by '
+            f'{100.0 * abs(share):.0f} %', share > 0.0 and there and not was_there)
