@@ -196,7 +196,7 @@ def test_disordered_time_is_refused_or_dropped_as_asked(load):
     (lambda text: text.replace(',', ';'), "has no column 't'.*did you mean 't;q'"),
     (lambda text: 't,q\n', 'has no data below 1 header rows'),
     (lambda text: 't,q\n0,1\n', '1 usable sample'),
-    (lambda text: '', 'has no data'),
+    (lambda text: '', r'is empty \(0 bytes\)'),
     (lambda text: text + 'a\0b', 'NUL bytes'),
     (change_line(4, '0.008,"0,5"'), "holds '0,5'.*set file.decimal: ','"),
     (lambda text: text.replace('t,q', 't,q\ns,rad'), 'set file.header_rows: 2'),
@@ -299,6 +299,25 @@ def test_a_forgotten_header_setting_does_not_cost_the_first_sample(load, text):
     log = load({'t': T, 'q': Q}, 'file: {header_rows: 0}' + BY_NUMBER, edit=bare)
     np.testing.assert_array_equal(log.recording.q_link[:, 0], Q)
     np.testing.assert_allclose(log.recording.time, T)
+
+
+@pytest.mark.parametrize(('factor', 'torque', 'unit', 'said'), [
+    (1.0, 1.0, 'rad', []), (1.0, 0.0, 'rad', ['the torque of j1 is always 0']),
+    (90.0, 1.0, 'rad', ['j1 turns to 63 rad, 10 turns; are these degrees?']),
+    (90.0, 1.0, 'deg', []), (1e4, 1.0, 'rad', [])])
+def test_columns_that_look_like_others_are_suspicious(
+        tmp_path, capsys, factor, torque, unit, said):
+    log, import_map = tmp_path / 'log.csv', tmp_path / 'map.yaml'
+    np.savetxt(log, np.column_stack([T, factor * Q, torque * DQ]), delimiter=',', header='t,q,u',
+               comments='')
+    import_map.write_text(PLAIN.replace('rad}', f'{unit}}}') + (
+        '    torque: {column: u, unit: N m}\n'))
+    assert main(['import-csv', str(log), '--map', str(import_map), '--out',
+                 str(tmp_path / 'bag')]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines()
+             if 'suspicious: ' in line and ('always 0' in line or 'turns' in line)]
+    assert len(lines) == len(said)
+    assert all(words in line for words, line in zip(said, lines, strict=True))
 
 
 REAL = [('kr300/rec_A.csv', 'import_kr300.yaml'), ('kr300/rec_B.csv', 'import_kr300.yaml')] + [

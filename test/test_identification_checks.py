@@ -94,6 +94,15 @@ def test_a_source_slower_than_the_log_does_not_jump():
     assert [one.kind for one in check(turned, robot)][-1] == 'jump'
 
 
+@pytest.mark.parametrize(('size', 'said'), [(0.0, 'does not move;'), (1e-4, 'never moves (by ')])
+def test_a_joint_at_rest_is_told_from_one_whose_motion_is_not_resolved(size, said):
+    recording, robot = healthy('rigid')
+    angle = recording.q_link.copy()
+    angle[:, 1] = size * (np.arange(len(angle)) % 2)
+    found = check(replace(recording, q_link=angle, dq_link=np.nan * angle), robot)
+    assert said in next(one.text for one in found if one.kind == 'still')
+
+
 def test_a_joint_that_stands_may_give_way_once():
     """Twelve counts are no jump of an encoder that goes by one otherwise."""
     recording, robot = healthy('rigid')

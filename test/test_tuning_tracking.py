@@ -111,6 +111,20 @@ def test_bags_become_table_report_and_pictures(tmp_path, capsys):
     assert table['table'][0]['ratio']['gms'] == pytest.approx(25)
 
 
+def test_repeats_are_said_to_be_averaged_and_bags_without_reference_named(tmp_path, capsys):
+    bags = [bag(tmp_path / name, 0.1 + 0.01 * k) for k, name in enumerate(
+        ('a', 'b', 'sinusoid_none'))]
+    write_recording(tmp_path / 'bare', Recording(
+        joints=('joint1', 'joint2'), time=np.arange(400) * 1e-3, q_link=0.1, source='test'))
+    labels = [f'--label=sinusoid_{mode}' for mode in ('gms', 'gms', 'none', 'gms_paper')]
+    with pytest.warns(UserWarning, match='bare: no sample has both a link angle and a reference'):
+        assert call('analyse', *bags, tmp_path / 'bare', '--out', tmp_path / 'out', *labels) == 0
+    assert capsys.readouterr().out.count('NOTE: sinusoid, gms: mean of 2 bags') == 1
+    with pytest.raises(BagError, match='bare: no sample has both a link angle and a reference'):
+        call('analyse', tmp_path / 'bare', '--out', tmp_path / 'none')
+    assert not (tmp_path / 'none').exists()
+
+
 def test_every_bag_needs_its_label(tmp_path):
     bags = [bag(tmp_path / 'a', 0.1), bag(tmp_path / 'b', 0.1)]
     with pytest.raises(BagError, match='--label was given 1 times for 2 bags'):

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 import sys
 from textwrap import fill
+import warnings
 
 from gms_flex_control.cli.terminal import end, progress, refuse_repeated, refuse_unwritable
 from gms_flex_control.data import metadata
@@ -41,11 +42,13 @@ from gms_flex_control.reports.answers import (
 from gms_flex_control.reports.discrepancy_page import units_of, write_discrepancy_report
 from gms_flex_control.reports.recordings_page import write_identification_report
 from gms_flex_control.schema.files import load_controller, load_robot, load_robot_to_identify
-from gms_flex_control.tuning.tracking import Run
+from gms_flex_control.tuning.tracking import link_error, Run
 import numpy as np
 
 UNLABELLED = 'unlabelled'
 _WIDTH = 96
+# of an angle in rad: beyond two turns, which few joints make, and within two in degrees
+_FEW_TURNS, _DEGREES = 4.0 * np.pi, 720.0
 
 
 def import_csv(args) -> int:
@@ -59,7 +62,7 @@ def import_csv(args) -> int:
         custom['source'] = import_map.source
     write_recording(args.out, log.recording, log.motors, custom=custom)
     names = log.recording.joints
-    found = suspicions(log.recording)
+    found = suspicions(log.recording) + _doubted(log.recording, import_map)
     currents = currents_in(import_map)
     if currents:
         write_text(Path(args.out) / NAME, 'torque_constant:  # N m per unit of effort\n' + ''.join(
@@ -78,6 +81,22 @@ def suspicions(recording) -> list[str]:
     return [one.text for one in found if one.kind != 'torque_scale']  # of inertia, not known yet
 
 
+def _doubted(recording, import_map):
+    """Return sentences on torques that are always 0 and angles that look like degrees."""
+    found = []
+    for j, joint in enumerate(import_map.joints):
+        for name, torque in (('torque', recording.tau_motor), ('command', recording.command)):
+            known = torque[np.isfinite(torque[:, j]), j]
+            if len(known) and not known.any():
+                found.append(f'the {name} of {joint.name} is always 0; is it another column?')
+        side = 'link' if 'link_position' in joint.channels else 'motor'
+        most = np.nanmax(np.abs(getattr(recording, f'q_{side}')[:, j]), initial=0.0)
+        if joint.angle.unit == 'rad' and _FEW_TURNS < most <= _DEGREES:
+            found.append(f'{joint.name} turns to {most:.3g} rad, {most / (2.0 * np.pi):.0f} turns;'
+                         ' are these degrees? Then give unit: deg')
+    return found
+
+
 def find_map(name) -> Path:
     """Return the map file ``name``, or the one of that name the package ships."""
     path = Path(name)
@@ -87,18 +106,32 @@ def find_map(name) -> Path:
 
 def analyse(args) -> int:
     """Compare bags with and without compensation, write the report; return 0."""
-    refuse_unwritable(args.out)
+    refuse_unwritable(args, 'table4.json')
+    refuse_repeated(args.bags, ())
     if args.label and len(args.label) != len(args.bags):
         raise BagError(f'--label was given {len(args.label)} times for {len(args.bags)} bags; '
                        'give it once per bag, in their order, or not at all')
     labels = list(map(given_label, args.label) if args.label else map(bag_label, args.bags))
     runs = [Run(*label, read_recording(bag, args.joints, args.motors))
             for bag, label in zip(args.bags, labels, strict=True)]
+    _refuse_without_reference(runs)
     axes = {_remarks(bag).get('axes', 'rotary') for bag in args.bags}
     words = partial(in_units_of, axes.pop() if len(axes) == 1 else 'rotary')
     table = recordings_page.write_tracking_report(runs, args.out, words=words)
     return end(args, recordings_page.table_values(table, words), table.text(), table.answer(),
                {'report': Path(args.out) / 'report.html'}, words)
+
+
+def _refuse_without_reference(runs):
+    """Warn about each Run without a tracking error; raise BagError if none has one."""
+    without = [run.recording.source for run in runs
+               if not np.isfinite(link_error(run.recording)).any()]
+    sentence = ('no sample has both a link angle and a reference, so there is no tracking error; '
+                'record /reference as well, or name the links by --joints')
+    if len(without) == len(runs):
+        raise BagError(f'{", ".join(without)}: {sentence}')
+    for source in without:
+        warnings.warn(f'{source}: {sentence}', stacklevel=2)
 
 
 def _remarks(bag):
@@ -133,7 +166,7 @@ def _split_label(label):
 
 def identify_bags(args) -> int:
     """Identify, write and print; return 0."""
-    refuse_unwritable(args.out)
+    refuse_unwritable(args, 'friction.yaml')
     refuse_repeated(args.bags, args.holdout)
     found, out = _written(args, _options_of(args)), Path(args.out)
     return end(args, output.report_json(found), identification_text(found),
@@ -179,7 +212,7 @@ def _robot_of(args):
 
 def discrepancy_verb(args) -> int:
     """Compare, write and print; return the exit code of the verdict."""
-    _refuse_out(Path(args.out), args)
+    refuse_unwritable(args, 'robot.yaml')
     refuse_repeated(args.bags, args.holdout)
     _search_options(args)
     result, compared, holdout = _answered(args)
@@ -274,15 +307,6 @@ def _search_options(args):
     if args.max_effects is not None:
         chosen['most'] = args.max_effects
     return SearchOptions(**chosen)
-
-
-def _refuse_out(out, args):
-    refuse_unwritable(out)
-    target = (out / 'robot.yaml').resolve()
-    for file in (*args.robot, *args.models):
-        if Path(file).resolve() == target:
-            raise ConfigError(f'{file} would be overwritten by the model that is found; name '
-                              'another folder as --out')
 
 
 def _models_of(args, robot):

@@ -109,6 +109,8 @@ class CsvTable:
             raise ImportDataError(
                 f'{self.path}: is not UTF-8 text (byte {error.start} is '
                 f'0x{error.object[error.start]:02x}); export it as UTF-8 CSV') from error
+        if not text:
+            raise ImportDataError(f'{self.path}: is empty (0 bytes); export the log again')
         if '\0' in text:
             raise ImportDataError(f'{self.path}: holds NUL bytes, so it is no text table; '
                                   'export it as CSV')

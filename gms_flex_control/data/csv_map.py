@@ -10,6 +10,7 @@ column was measured on the fast side of a gear. Every mistake is named with its 
 
 from dataclasses import dataclass, field
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 from gms_flex_control.errors import ImportDataError
@@ -128,7 +129,14 @@ class ImportMap:
 
 def load_map(path) -> ImportMap:
     """Return the ImportMap of a YAML file (config/import_kr300.yaml); ImportDataError if wrong."""
-    top = read_map(path, ImportDataError)
+    try:
+        top = read_map(path, ImportDataError)
+    except ImportDataError as error:
+        if not Path(path).is_file() or (Path(path).suffix in ('.yaml', '.yml')
+                                        and 'must be a mapping' not in str(error)):
+            raise
+        raise ImportDataError(f'{error}: it is no import map; were file and --map exchanged?'
+                              ) from error
     if not top.keys():
         raise top.wrong('must be a mapping with time and joints')
     top.only('source', 'file', 'time', 'joints', 'resample')

@@ -138,10 +138,12 @@ def motion(signals: Recording) -> list[Finding]:
         else:
             found += _one_way(signals.source, joint, filtered)
     for joint, travel in still:
+        moves = (f'never moves (by {travel:.3g} rad at most, which its encoder hardly resolves)'
+                 if travel > 0.0 else 'does not move')
         found.append(Finding(
             'still', joint, 'refuse' if len(still) == len(signals.joints) else 'warn',
-            f'{signals.source}: {joint} never moves (by {travel:.3g} rad at most, which its '
-            'encoder hardly resolves); none of its parameters can be had from this recording'))
+            f'{signals.source}: {joint} {moves}; none of its parameters can be had from this '
+            'recording'))
     return found
 
 

@@ -193,10 +193,13 @@ class Table4:
         return header, rows
 
     def findings(self) -> list[str]:
-        """Return a sentence for each run whose errors are not those of its gains (list of str)."""
-        return [f'{run.trajectory}, {run.compensation}: {100.0 * run.unanswered:.0f} % of the '
-                'samples had no command; the loop did not keep up, and errors are not what the '
-                'gains would give' for run in self.runs if run.unanswered > MOST_UNANSWERED]
+        """Return sentences on means, and on runs whose errors are not those of their gains."""
+        labels = [(run.trajectory, run.compensation) for run in self.runs]
+        return [*(f'{", ".join(label)}: mean of {labels.count(label)} bags'
+                  for label in dict.fromkeys(labels) if labels.count(label) > 1), *(
+            f'{run.trajectory}, {run.compensation}: {100.0 * run.unanswered:.0f} % of the '
+            'samples had no command; the loop did not keep up, and errors are not what the '
+            'gains would give' for run in self.runs if run.unanswered > MOST_UNANSWERED)]
 
     def text(self) -> str:
         """Return both tables as text for a terminal, and what speaks against them."""
