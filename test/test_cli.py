@@ -86,6 +86,16 @@ def test_a_misspelt_verb_is_answered_with_the_nearest(typed, meant, capsys):
     assert f'there is no verb {typed!r}; ' in reported and meant in reported
 
 
+def test_an_unknown_option_is_answered_with_the_nearest_and_the_usage_of_the_verb(capsys):
+    for words, said in ((['--hold-out', 'c'], "there is no option --hold-out; did you mean "
+                         "'--holdout'?"), (['-x'], 'unrecognized arguments: -x')):
+        with pytest.raises(SystemExit) as ended:
+            tool.main(['identify', 'a', *words, '--out', 'd'])
+        reported = capsys.readouterr().err
+        assert ended.value.code == tool.BAD_INPUT
+        assert said in reported and 'usage: gms_flex identify ' in reported
+
+
 def test_warnings_of_numpy_stay_away_and_ours_are_sentences(monkeypatch, capsys):
     def warns(args):
         np.log(np.zeros(2))

@@ -60,8 +60,16 @@ OPTIONS = [
       for words, sentence in (('--without backlsh', "did you mean 'backlash'"),
                               ('--max-effects 0', '--max-effects 0: must be at least 1'))),
     *((f'simulate --out {{dir}} {words}', sentence) for words, sentence in (
-        ('--duration 0', '--duration must be'), ('--duration nan', '--duration must be'),
-        ('--duration inf', '--duration must be'),
+        ('--duration 0', '--duration must be'),
+        ('--duration nan', '--duration nan: must be finite'),
+        ('--duration inf', '--duration inf: must be finite'),
+        ('--set foo=1', '--set foo=1: foo is not a known parameter'),
+        ('--compensation GMS', '--compensation GMS: must be one of none, gms_paper'),
+        ('--compensation GMS', "did you mean 'gms'?"),
+        ('--compensation gms gms', 'make 2 bags named sinusoid_gms; give each once'),
+        ('--trajectory sinusoid sinusoid', 'make 2 bags named sinusoid_gms; give each once'),
+        ('--trajectory {robot}', '--trajectory {robot}: states no trajectory.* parameter'),
+        ('--set arm.joint1.mass=1e300', 'arm.joint1.mass must be from 0 to 1e+09 kg, got 1e+300'),
         ('--duration 0.1 --out {file}/x', '{file}/x: cannot be written ({file} is a file; name a'),
         ('--duration 0.1 --out {folder}', 'exists already'),
         ('--set gains.joint1.kd_lnk=1', 'gains.joint1.kd_lnk is not a known parameter; did you '
@@ -88,6 +96,11 @@ OPTIONS = [
         ('--out /proc/cmp', '--out /proc/cmp: /proc cannot be written'))),
     *((f'tune --out {{dir}} {words}', sentence) for words, sentence in (
         ('--rate 0', '--rate 0'), ('--damping 0.5', 'at least 1'),
+        ('--delay-margin nan', '--delay-margin nan: must be at least 0'),
+        ('--delay-margin -50', '--delay-margin -50: must be at least 0'),
+        ('--bandwidth inf', '--bandwidth inf: must be finite'),
+        ('--seed -1 --verify 1', '--seed -1: must be at least 0'),
+        ('--workers 0', '--workers 0: must be at least 1'),
         ('--torque-limit 1 2 3', 'each of the 2 joints'),
         ('--robot {robot}', '--torque-limit is required'),
         ('--out {robot}/tuned', 'is a file; name a folder'),
@@ -95,8 +108,13 @@ OPTIONS = [
     *((f'score --out {{dir}} {words}', sentence) for words, sentence in (
         ('--kind singel', "did you mean 'single'?"), ('--set huge', 'known: full, quick'),
         ('--share 0', 'more than 0, at most 1'),
-        ('--share nan', 'more than 0, at most 1'), ('--kind single --plant x', 'soft, stiff'),
-        ('--kind clean --duration nan', '--duration nan: give 2 to 3600 s'))),
+        ('--share nan', '--share nan: must be finite'), ('--kind single --plant x', 'soft, stiff'),
+        ('--kind clean --duration nan', '--duration nan: must be finite'))),
+    ('plan --robot {arm} --seed -1 --out {dir}', '--seed -1: must be at least 0'),
+    ('plan --robot {robot} --out {dir}', 'for decoupled axes or a planar arm use identification'),
+    ('import-csv {empty} --map import_kr300.yaml --out {dir}', '{empty}: is empty (0 bytes)'),
+    ('import-csv {robot} --map {file} --out {dir}', 'import map; were file and --map exchanged?'),
+    ('analyse {bag} {bag} --out {dir}', '{bag} is given twice'),
     ('hide --out {dir} --kind clean --duration=-3', '--duration -3: give 2 to 3600 s'),
     ('hide --out {dir} --seeds 3:3', 'must be a number or A:B'),
     ('faults --soak nan', '--soak'), ('faults --only silense', "did you mean 'silence'"),
@@ -139,6 +157,28 @@ def test_what_is_wrong_with_an_option_is_said(words, sentence, tmp_path, capsys,
     monkeypatch.chdir(tmp_path)
     reported, places = printed_of(words, tmp_path, capsys)
     assert sentence.format(**places) in reported
+
+
+@pytest.mark.parametrize(('words', 'name'), [
+    ('identify {bag} --robot', 'friction.yaml'), ('discrepancy {bag} --robot', 'robot.yaml'),
+    ('discrepancy {bag} --robot {robot} --models', 'robot.yaml'),
+    ('tune --robot', 'trajectory.yaml'), ('tune --controller', 'controller.yaml'),
+    ('compare', 'trajectory.yaml'), ('compare --controller', 'trajectory.yaml'),
+    ('plan --robot', 'trajectory.yaml'),
+    ('next {bag} --robot {robot} --limits', 'identification.yaml'),
+    ('urdf --robot', ''), ('urdf --limits', ''), ('export --to csv --robot', '')])
+def test_what_is_read_is_not_written_over(words, name, tmp_path, capsys):
+    """Not through a link either."""
+    robot = ROOT / 'config' / 'robot.yaml'
+    words = words.format(bag=ROOT / 'examples' / 'arm_with_play', robot=robot).split()
+    kept, link = tmp_path / (name or 'arm.urdf'), tmp_path / 'link.yaml'
+    kept.write_bytes(robot.read_bytes())
+    link.symlink_to(kept)
+    for given in (kept, link):
+        out = tmp_path if name else kept
+        assert tool.main([*words, str(given), '--out', str(out)]) == tool.BAD_INPUT
+        assert f'{given} would be overwritten' in capsys.readouterr().err
+    assert kept.read_bytes() == robot.read_bytes()
 
 
 @pytest.mark.parametrize('words', [

@@ -96,6 +96,21 @@ def test_several_motions_and_modes_make_a_bag_each(simulate):
         assert np.mean(error ** 2, axis=0).tolist() == pytest.approx(result['mse'])
 
 
+def test_a_bag_that_is_there_is_refused_before_the_first_run(simulate, tmp_path):
+    (tmp_path / 'bag' / 'sinusoid_gms').mkdir(parents=True)
+    code, _, said = simulate('--duration', 0.4, '--compensation', 'none', 'gms')
+    assert code == 2 and 'sinusoid_gms: exists already' in said
+    assert [one.name for one in (tmp_path / 'bag').iterdir()] == ['sinusoid_gms']
+
+
+def test_a_full_standard_output_is_named(tmp_path):
+    with open('/dev/full', 'w') as full:
+        done = subprocess.run([*TOOL, 'effects'], stdout=full, stderr=subprocess.PIPE, text=True,
+                              check=False, env=environment_of())
+    assert done.returncode == 2
+    assert done.stderr == 'gms_flex effects: standard output: No space left on device\n'
+
+
 def test_an_identified_friction_completes_the_robot(simulate, tmp_path):
     """Later files win, for plant and model; as with a single file that holds both."""
     friction = tmp_path / 'friction.yaml'

@@ -198,8 +198,8 @@ def test_a_model_that_lacks_nothing_is_described_alike_in_long_and_in_short(name
     _, result = named
     gap = replace(result.gap, floor=result.gap.after * (0.5 if loud else 1.0),
                   free_floor=result.gap.free_after)
-    none = replace(result, verdict=COMPLETE, added=(), not_added=(), findings=(), minor=(),
-                   unexplained=None, gap=gap)
+    none = replace(result, verdict=COMPLETE, findings=(), minor=(), unexplained=None,
+                   gap=gap)
     said = discrepancy_answer(none, tmp_path).sentence
     assert paragraph(none, (), ())[0].startswith(said)
     assert ('by a relevant amount, though its error exceeds the noise floor' in said) == loud

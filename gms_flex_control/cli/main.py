@@ -4,6 +4,7 @@
 
 import argparse
 from contextlib import contextmanager
+import errno
 from itertools import chain
 import os
 import signal
@@ -16,7 +17,7 @@ import warnings
 from gms_flex_control import __version__
 from gms_flex_control.cli.options import add_examples, add_verb
 from gms_flex_control.cli.verbs import GROUPS
-from gms_flex_control.errors import did_you_mean, GmsFlexError
+from gms_flex_control.errors import did_you_mean, GmsFlexError, nearest
 
 OK, FINDING_SAYS_NO, BAD_INPUT = 0, 1, 2
 _LATER = 0.02  # that a signal comes again [s]
@@ -89,9 +90,23 @@ def _parsed(parser, argv):
         return None
     if not argv[0].startswith('-') and argv[0] not in parser.verbs:
         parser.error(f'there is no verb {argv[0]!r}{did_you_mean(argv[0], parser.verbs)}')
-    args = parser.parse_args(argv)
+    args, unknown = _known(parser, argv)
+    if unknown:
+        parser.verbs[args.verb].error(f'unrecognized arguments: {" ".join(unknown)}')
     args.command = f'{parser.prog} {args.verb}'
     return args
+
+
+def _known(parser, argv):
+    """Return the arguments, and words that are none; end at an option that no verb has."""
+    verb = parser.verbs.get(argv[0])
+    options = () if verb is None else tuple(verb._option_string_actions)
+    for word in argv[1:argv.index('--') if '--' in argv else None]:
+        name = word.partition('=')[0]
+        if options and name.startswith('--') and not any(
+                known.startswith(name) for known in options):
+            verb.error(f'there is no option {name}{nearest(name, options)}')
+    return parser.parse_known_args(argv)
 
 
 def main(argv: list | None = None, prog: str = 'gms_flex', build=build_parser) -> int:
@@ -148,7 +163,7 @@ def _run_verb(args, seen):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except OSError as error:
-        where = f'{error.filename}: ' if error.filename else ''
+        where = f'{error.filename}: ' if error.filename else _of_output(error)
         print(f'{args.command}: {where}{error.strerror or error}', file=sys.stderr)
         return BAD_INPUT
     except Exception:  # noqa: B902  its exit code 1 would say what a finding says
@@ -158,6 +173,14 @@ def _run_verb(args, seen):
         print(f'{args.command}: this is an error of the program; please report it with the '
               'lines above', file=sys.stderr)
         return OWN_ERROR
+
+
+def _of_output(error):
+    """Return 'standard output: ', and close it, where an error without a name is of it."""
+    if error.errno != errno.ENOSPC:  # all other files that are written have a name
+        return ''
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 'standard output: '
 
 
 @contextmanager

@@ -76,8 +76,10 @@ WIDEN = option('--widen', type=float, default=1.0, metavar='TIMES', least=1e-6, 
                help='standard deviations of known parameters, as a multiple of the usual ones: '
                     '1.5 %% of inertia and stiffness, 2 %% of friction (default: 1)')
 JSON = option('--json', action='store_true', help='print the result as JSON instead of text')
-WORKERS = option('--workers', type=int, default=2, metavar='N',
+WORKERS = option('--workers', type=int, default=2, metavar='N', least=1,
                  help='processes of this machine (default: 2)')
+SEED = option('--seed', type=int, default=0, metavar='N', least=0,
+              help='of the random numbers (default: 0)')
 
 
 def out_folder(what: str, default: str | None = None) -> Option:
@@ -96,7 +98,7 @@ def add_options(parser, options) -> None:
         action = parser.add_argument(*one.names, **one.settings)
         if one.completer is not None:
             action.completer = one.completer
-        if one.least is not None or one.most is not None:
+        if one.least is not None or one.most is not None or one.settings.get('type') is float:
             parser.set_defaults(ranges=(*(parser.get_default('ranges') or ()), (action, one)))
 
 
@@ -156,7 +158,7 @@ def _compiling_announced():
 
 def _require_range(name, value, least, most):
     """Raise ConfigError unless a number, or each of several, is in its range and finite."""
-    for number in value if isinstance(value, list) else [value]:
+    for number in value if isinstance(value, (list, tuple)) else [value]:
         if number is None:
             continue
         if (not float('-inf') < number < float('inf') or least is not None and number < least

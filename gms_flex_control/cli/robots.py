@@ -6,15 +6,17 @@ from pathlib import Path
 import re
 
 from gms_flex_control.answer import command
-from gms_flex_control.cli.terminal import end, write_or_print
+from gms_flex_control.cli.terminal import end, refuse_overwriting, write_or_print
 from gms_flex_control.data.recording import MOTOR_SUFFIX
+from gms_flex_control.data.writer import refuse_existing
 from gms_flex_control.effects import registry
-from gms_flex_control.errors import ConfigError
+from gms_flex_control.errors import ConfigError, nearest
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.params.arm import in_units
+from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.schema import mujoco, target
-from gms_flex_control.schema.files import load_limits, load_robot
+from gms_flex_control.schema.files import load_limits, load_robot, read_parameters
 from gms_flex_control.schema.urdf import robot_urdf
 import numpy as np
 from ruamel.yaml import YAML
@@ -25,18 +27,24 @@ def simulate(args) -> int:
     """Simulate, write the bags and print the tracking errors; return 0."""
     overrides = dict(parse_override(text) for text in args.overrides)
     modes = args.compensation or [None]
-    several = len(args.trajectory) * len(modes) > 1
     robot, results = args.robot or [robot_file()], []
     joints = load_robot(robot).joints
     controller = controller_of(args, joints)
     if any(not Path(motion).suffix for motion in args.trajectory):
         _require_paper('--trajectory', 'motions', joints, 'gms_flex tune or plan write')
-    for motion, mode in product(args.trajectory, modes):
-        files = [*robot, *controller, trajectory_file(motion)]
-        chosen = overrides | ({'compensation': mode} if mode else {})
-        plan = read_plan(files, model=args.model, overrides=chosen, duration=args.duration)
-        name = f'{Path(motion).stem}_{plan.gains.compensation}'
-        bag = Path(args.out) / name if several else Path(args.out)
+    for mode in filter(None, modes):
+        if mode not in COMPENSATIONS:
+            raise ConfigError(f'--compensation {mode}: must be one of {", ".join(COMPENSATIONS)}'
+                              f'{nearest(mode.lower(), COMPENSATIONS)}')
+    plans = [(motion, read_plan(
+        [*robot, *controller, trajectory_file(motion)], model=args.model,
+        overrides=overrides | ({'compensation': mode} if mode else {}), duration=args.duration))
+        for motion, mode in product(args.trajectory, modes)]
+    several = len(plans) > 1
+    bags = _bags_of(plans, args.out) if several else [Path(args.out)]
+    for bag in bags:
+        refuse_existing(bag)
+    for bag, (_, plan) in zip(bags, plans, strict=True):
         outcome = simulate_to_bag(plan, bag)
         error = outcome.q_link - outcome.reference[:, 0]
         results.append({'bag': str(bag), 'trajectory': plan.motion,
@@ -47,11 +55,20 @@ def simulate(args) -> int:
             square = in_units(plan.robot.arm, 'rad^2')
             print(f'{bag}: {plan.motion}, {plan.gains.compensation}, {plan.duration:g} s, '
                   f'MSE per link [{square}]  {shown}')
-    bags = [one['bag'] for one in results]
     again = 'view', *bags, *(['--robot', *args.robot] if args.robot else ())
     if several:
         again = 'analyse', *bags, *_names(plan.robot), '--out', Path(args.out) / 'results'
     return end(args, results, f'\nnext: {command(*again)}')
+
+
+def _bags_of(plans, out):
+    """Return a path below ``out`` for the bag of each (motion, Plan); refuse equal ones."""
+    names = [f'{Path(motion).stem}_{plan.gains.compensation}' for motion, plan in plans]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f'--trajectory and --compensation make {names.count(name)} bags '
+                              f'named {name}; give each once, and motions different file names')
+    return [Path(out) / name for name in names]
 
 
 def _names(robot):
@@ -92,6 +109,9 @@ def parse_override(text: str) -> tuple:
 def trajectory_file(name) -> Path:
     """Return the path of a trajectory file given as a path or as a name from config/."""
     if Path(name).suffix:
+        if not any(key.startswith('trajectory.') for key in read_parameters(name)):
+            raise ConfigError(f'--trajectory {name}: states no trajectory.* parameter, so the arm '
+                              'would only hold; is it another file?')
         return Path(name)
     path = share_path() / 'config' / f'{name}.yaml'
     if not path.is_file():
@@ -121,9 +141,16 @@ def _effect_values(kind):
 
 def export(args) -> int:
     """Write or print a robot for another program; return 0."""
-    robot = load_robot(args.robot or robot_file())
+    robot = _to_be_written(args)
     write_or_print(_exported(robot, args), args.out, f'{robot.n_joints} joints')
     return 0
+
+
+def _to_be_written(args):
+    """Return the robot of the arguments, none of its files being --out."""
+    robot = load_robot(args.robot or robot_file())
+    refuse_overwriting(args, further=[robot.arm.frames.source] if robot.arm.frames else ())
+    return robot
 
 
 def _exported(robot, args):
@@ -146,7 +173,7 @@ def _exported(robot, args):
 
 def urdf(args) -> int:
     """Write or print a robot as URDF; return 0."""
-    robot = load_robot(args.robot or robot_file())
+    robot = _to_be_written(args)
     for option, given in (('name', args.name), ('ros2-control', args.ros2_control)):
         if given is not None and not re.fullmatch(r'\S+', given):
             raise ConfigError(f'--{option} {given!r}: give one word, such as '

@@ -16,6 +16,7 @@ from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.file_io import as_json, write_text
 
 _BAG_FILES = ('.mcap', '.db3', '.zstd')
+_INPUTS = 'robot', 'models', 'model', 'controller', 'limits', 'simulate'  # options with files
 _WIDTH = 96  # of what is printed as sentences
 
 
@@ -77,8 +78,24 @@ def answer_text(answer: Answer, words=str) -> str:
         [align(answer.header, rows)] if rows else []), f'next: {answer.command}'])
 
 
-def refuse_unwritable(out) -> None:
-    """Raise ConfigError if nothing could be written in the folder ``out``, which is not made."""
+def refuse_overwriting(args, *names: str, further=()) -> None:
+    """Raise ConfigError if --out, or a file of these names in it, is a file to be read."""
+    read = [file for option in _INPUTS for file in getattr(args, option, None) or ()]
+    written = {Path(args.out, name).resolve() for name in names or ('',)} if args.out else ()
+    for file in (*read, *further):
+        if Path(file).resolve() in written:
+            raise ConfigError(f'--out {args.out}: {file} would be overwritten, which is read; '
+                              'name another')
+
+
+def refuse_unwritable(args, *names: str) -> None:
+    """
+    Raise ConfigError if the folder --out, which is not made, takes nothing.
+
+    Likewise if a file of these ``names`` in it is one that the verb reads.
+    """
+    refuse_overwriting(args, *names)
+    out = args.out
     there = Path(out).absolute()
     while not there.exists() and there != there.parent:
         there = there.parent
@@ -98,7 +115,7 @@ def refuse_repeated(bags, holdout) -> None:
     """Raise ConfigError if a bag, or a copy of it, is given twice, to be fitted or held out."""
     given = {}
     for bag, held_out in [*((bag, False) for bag in bags), *((bag, True) for bag in holdout)]:
-        alike = given.setdefault(_sizes(bag), [])
+        alike = given.setdefault(_sizes(bag), []) if _recorded(bag) else []
         for other, fitted in alike:
             if _folder_of(bag) == _folder_of(other) or _digest(bag) == _digest(other):
                 copied = '' if bag == other else f', with the same content as {other},'
@@ -118,7 +135,7 @@ def _folder_of(bag):
 def _recorded(bag):
     path = _folder_of(bag)
     return [path] if path.is_file() else sorted(
-        one for one in path.glob('*') if one.is_file() and one.suffix in ('.mcap', '.db3'))
+        one for one in path.glob('*') if one.is_file() and one.suffix in _BAG_FILES)
 
 
 def _sizes(bag):

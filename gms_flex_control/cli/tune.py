@@ -27,8 +27,8 @@ import numpy as np
 
 def tune(args) -> int:
     """Propose, try, write, verify; return 1 where something asked is not met, else 0."""
+    refuse_unwritable(args, 'controller.yaml', 'trajectory.yaml')
     robot, base, demands = _asked(args)
-    refuse_unwritable(args.out)
     tuned = results.tune(robot, base, demands=demands, amplitude=args.amplitude)
     proposal, trials, values = tuned.proposal, tuned.trials, tuned.to_dict()
     units = partial(in_units, robot.arm)
@@ -130,7 +130,7 @@ def _gains_values(report):
 
 def compare(args) -> int:
     """Compare, write and print; return 0."""
-    refuse_unwritable(args.out)
+    refuse_unwritable(args, 'trajectory.yaml')
     robot = load_robot(args.robot or robot_file())
     gains = load_controller(controller_of(args, robot.joints), robot)
     found = results.compare(robot, gains, draws=args.draws, rate=args.rate, seed=args.seed,

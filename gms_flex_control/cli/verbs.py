@@ -14,6 +14,7 @@ from gms_flex_control.cli.options import (
     OUT_FILE,
     out_folder,
     ROBOT,
+    SEED,
     Verb,
     WIDEN,
     WORKERS,
@@ -262,8 +263,7 @@ _PLAN = Verb(
         option('--radius', type=float, metavar='M', least=0.0, most=10.0,
                help='of the links as capsules; 0 checks no collisions (default: 5 %% of the '
                     'length of the arm)'),
-        option('--seed', type=int, default=0, metavar='N', help='of the search'),
-        out_folder('folder for the plan'), JSON),
+        SEED, out_folder('folder for the plan'), JSON),
     ('plan --robot examples/industrial_arm/robot.yaml --out plan',
      'plan --robot robot.yaml --limits bridge.yaml --acceleration 10 --out plan'))
 _TUNE = Verb(
@@ -284,7 +284,7 @@ _TUNE = Verb(
         number('--gain-margin', 'TIMES', 2.0, 'factor on the torque, up and down', least=1.0),
         option('--phase-margin', type=float, default=30.0, metavar='DEG', least=0.0,
                help='default: %(default)g'),
-        option('--delay-margin', type=float, metavar='MS',
+        option('--delay-margin', type=float, metavar='MS', least=0.0,
                help='further delay that the loop must tolerate (default: one sample)'),
         number('--noise', 'SHARE', 0.1,
                'of the torque limit that encoder noise may take as rms torque', least=1e-6),
@@ -292,9 +292,8 @@ _TUNE = Verb(
         option('--verify', type=int, default=0, metavar='N', least=0,
                help='try the gains on N robots drawn with friction and M off by up to 30 %%, K by '
                     '20 %%'),
-        option('--seed', type=int, default=0, metavar='N', help='of the draws'),
-        WORKERS, out_folder('controller.yaml, trajectory.yaml, tuning.json, tuning.png'),
-        JSON),
+        SEED, WORKERS,
+        out_folder('controller.yaml, trajectory.yaml, tuning.json, tuning.png'), JSON),
     ('tune --out tuned',
      'tune --robot robot.yaml results/friction.yaml --torque-limit 2 --delay 1 --verify 200 '
      '--out tuned'))
@@ -311,8 +310,8 @@ _COMPARE = Verb(
                help='robots with all parameters off at once (default: %(default)d)'),
         number('--rate', 'HZ', 500.0, 'of the controller', least=1e-3, most=1e4),
         number('--amplitude', 'RAD', 1.0, 'of the motions', least=1e-6, most=100.0),
-        option('--seed', type=int, default=0, metavar='N', least=0, help='of the draws'),
-        WORKERS, out_folder('report.html, comparison.json, trajectory.yaml', 'comparison'), JSON),
+        SEED, WORKERS,
+        out_folder('report.html, comparison.json, trajectory.yaml', 'comparison'), JSON),
     ('compare', 'compare robot.yaml --controller tuned/controller.yaml --out comparison',
      'compare robot.yaml results/friction.yaml --draws 20'))
 _EXPORT = Verb(

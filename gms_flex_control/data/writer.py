@@ -52,12 +52,12 @@ class BagWriter:
         """Make the folder and begin its first file; raise BagError where that cannot be."""
         if not self._final.name:
             raise BagError(f'{self.path}: is no name for a bag; give a new folder')
-        self._refuse_existing()
+        refuse_existing(self.path)
         try:
             make_folder(self._final.parent, self.path)
             self._folder.mkdir()
         except FileExistsError:
-            raise self._exists() from None
+            raise _exists(self.path) from None
         except OSError as error:
             raise self._failure(error) from error
         try:
@@ -149,7 +149,7 @@ class BagWriter:
         try:
             self._close()
             if self._atomic:
-                self._refuse_existing()
+                refuse_existing(self.path)
                 os.rename(self._folder, self._final)
         except (OSError, BagError) as error:
             self._release()
@@ -197,18 +197,21 @@ class BagWriter:
         write_text(self._folder / 'metadata.yaml',
                    as_yaml({'rosbag2_bagfile_information': self._metadata(final)}))
 
-    def _refuse_existing(self):
-        if os.path.lexists(self._final):
-            raise self._exists()
-
-    def _exists(self):
-        return BagError(f'{self.path}: exists already; bags are never overwritten, '
-                        'give another name or remove it first')
-
     def _failure(self, error):
         kept = '' if self._atomic or self._stream is None else (
             '; what was flushed is kept and can be read')
         return BagError(f'{self.path}: cannot be written ({error.strerror or error}){kept}')
+
+
+def refuse_existing(path) -> None:
+    """Raise BagError if anything is where a bag is to be made."""
+    if os.path.lexists(Path(path).resolve()):
+        raise _exists(path)
+
+
+def _exists(path):
+    return BagError(f'{path}: exists already; bags are never overwritten, '
+                    'give another name or remove it first')
 
 
 def write_recording(path, recording: Recording, motors: Sequence[str] | None = None, *,

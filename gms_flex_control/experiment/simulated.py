@@ -54,7 +54,7 @@ def read_plan(files, *, model=None, overrides: dict | None = None,
     robot = load_robot(files)
     values, places = read_values(files)
     values |= overrides or {}
-    places |= dict.fromkeys(overrides or {}, 'override')
+    places |= {name: f'--set {name}={value}' for name, value in (overrides or {}).items()}
     try:
         known_keys(values, robot.joints)
         if any(name.startswith(('arm.', 'friction.', 'effects.', 'encoder.', 'joints', 'motors'))
