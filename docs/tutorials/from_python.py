@@ -14,7 +14,7 @@ bag = share_path() / 'examples' / 'arm_with_play'
 recording = gms.read_recording(bag, robot.joints, robot.motors)
 
 # %% [markdown]
-# What does the model lack? A minute, then one paragraph, the same as of `gms_flex discrepancy`.
+# What does the model lack? 7 s (the first time 16), then a paragraph as of `gms_flex discrepancy`.
 
 # %%
 missing = gms.find_discrepancy([recording], robot)
