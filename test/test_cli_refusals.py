@@ -69,6 +69,8 @@ OPTIONS = [
         ('--compensation gms gms', 'make 2 bags named sinusoid_gms; give each once'),
         ('--trajectory sinusoid sinusoid', 'make 2 bags named sinusoid_gms; give each once'),
         ('--trajectory {robot}', '--trajectory {robot}: states no trajectory.* parameter'),
+        ('--set friction.joint1.forward.static=1e300',
+         'friction.joint1.forward.static must be above 0, at most 1e+09 N m, got 1e+300'),
         ('--set arm.joint1.mass=1e300', 'arm.joint1.mass must be from 0 to 1e+09 kg, got 1e+300'),
         ('--duration 0.1 --out {file}/x', '{file}/x: cannot be written ({file} is a file; name a'),
         ('--duration 0.1 --out {folder}', 'exists already'),

@@ -440,6 +440,7 @@ def test_what_a_motion_hardly_determines_is_left_open_in_words():
         compared=(best,), duration=8.0)
     assert ('it determines presliding stiffness of joint2 to 2 % (standard deviations) and leaves '
             'forward Coulomb friction of joint1 open') in plan.sentence()
+    assert plan.helps and not replace(plan, compared=(so_far,)).helps
 
 
 def test_experiments_measure_what_they_can_within_limits(robot, gains):

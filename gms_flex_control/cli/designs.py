@@ -92,7 +92,7 @@ def _loaded(args):
 
 
 def _determine(report, args, out):
-    """Write the motion that determines what ``identify`` left open; return 0."""
+    """Write the motion for what ``identify`` left open; return 0, or 1 if it determines none."""
     if args.with_ros or args.simulate or args.effects or args.weight:
         raise ConfigError(f'{args.result} is of identify: --run, --simulate, --effects and '
                           '--weight separate explanations of discrepancy')
@@ -120,7 +120,7 @@ def _determine(report, args, out):
                                            strict=True))
     sentence_of_all = ' '.join(filter(None, (plan.sentence(), experiments)))
     return end(args, values, '', Answer(sentence_of_all, columns, numbers[:3], _simulated(
-        args, trajectory, plan.duration, out)), files)
+        args, trajectory, plan.duration, out)), files, code=int(not plan.helps))
 
 
 def _task(report, args):

@@ -215,7 +215,8 @@ _NEXT = Verb(
     'simulation beside the recordings so far. Every explanation, also two standard deviations '
     'from its fit, keeps the limits. With --run the plan is driven and recorded, with --simulate '
     'simulated, and so on until one explanation is left, the budget is spent or no motion '
-    'separates them. Exit code 1 if one is not left, or not likely to be.', (
+    'separates them. Exit code 1 if one is not left, or not likely to be, or, of a result of '
+    'identify, if nothing more is determined.', (
         option('result', metavar='RESULT', help='folder that discrepancy wrote'),
         option('--robot', nargs='+', required=True, metavar='FILE',
                help='robot files that discrepancy was given, later ones winning'),

@@ -93,6 +93,12 @@ class Determination:
         """Return the motion chosen."""
         return self.compared[0]
 
+    @property
+    def helps(self) -> bool:
+        """Return whether motion or experiments determine anything of what is missing."""
+        return bool((self.best.sd < _DETERMINED).any()
+                    or self.experiments and self.experiments.measured)
+
     def sentence(self) -> str:
         """Return what to record and what it will determine."""
         known, still_open = [], []

@@ -122,9 +122,11 @@ def _check_range(key, number):
 
 def range_in_words(key: Key) -> str:
     """Return what numbers a key allows, without the unit (str)."""
-    if math.isfinite(key.upper):
-        return f'from {key.lower:g} to {key.upper:g}'
-    return 'above 0' if key.lower == SMALLEST else f'at least {key.lower:g}'
+    least = 'above 0' if key.lower == SMALLEST else f'at least {key.lower:g}'
+    if not math.isfinite(key.upper):
+        return least
+    return (f'{least}, at most {key.upper:g}' if key.lower == SMALLEST else
+            f'from {key.lower:g} to {key.upper:g}')
 
 
 def freeze_arrays(instance, *, skip=()) -> None:

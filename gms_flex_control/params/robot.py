@@ -11,6 +11,7 @@ from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.key import (
     freeze_arrays,
     keys_of,
+    LARGEST,
     number,
     of_joints,
     require_finite,
@@ -27,10 +28,11 @@ WEIGHT_TOLERANCE = 1e-6  # of the sum of a joint's weights
 class StribeckParams:
     """Steady friction one way (n_joints,), Eq. (4) and Table 1; ParameterError if impossible."""
 
-    static: np.ndarray = number('static friction F_s', 'N m', lower=SMALLEST)
-    coulomb: np.ndarray = number('Coulomb friction F_c', 'N m', lower=SMALLEST)
+    static: np.ndarray = number('static friction F_s', 'N m', lower=SMALLEST, upper=LARGEST)
+    coulomb: np.ndarray = number('Coulomb friction F_c', 'N m', lower=SMALLEST, upper=LARGEST)
     velocity: np.ndarray = number('Stribeck velocity v_s', 'rad/s', lower=SMALLEST)
-    viscous: np.ndarray = number('viscous friction sigma_2', 'N m s/rad', lower=0.0)
+    viscous: np.ndarray = number('viscous friction sigma_2', 'N m s/rad', lower=0.0,
+                                 upper=LARGEST)
 
     def __post_init__(self):
         freeze_arrays(self)
