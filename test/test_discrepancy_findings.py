@@ -177,5 +177,5 @@ def written_of(before, best, effect, *further):
     likelihood = SimpleNamespace(known=0, sd=np.ones(1), coulomb=np.ones(2),
                                  robot=SimpleNamespace(joints=('a', 'b')))
     found = SimpleNamespace(before=before, best=best, nuisances=None, tried=())
-    return workflow._written(likelihood, found, found, Known(likelihood), further,
-                             {effect: True} if effect else {})
+    return workflow._Choice(likelihood, found, Known(likelihood),
+                            {effect: True} if effect else {}).written(found, further)

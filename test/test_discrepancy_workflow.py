@@ -292,8 +292,7 @@ def test_torque_constant_and_inertia_are_separated_by_the_spring():
 
 def test_what_makes_a_model_worse_is_named_and_not_added(named, monkeypatch):
     """It is named all the same, in the words and in the answer: something is missing."""
-    monkeypatch.setattr(workflow, '_written',
-                        lambda likelihood, found, *_: (found.before, found.before))
+    monkeypatch.setattr(workflow._Choice, 'written', lambda self, *_: 2 * (self._found.before,))
     case, before = named
     result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
     assert result.searched.tried == before.searched.tried  # the same seed, the same numbers
@@ -313,8 +312,7 @@ def test_nothing_is_named_where_much_is_left_that_the_written_model_does_not_exp
     left = Signature(0.5, 'link', 'joint1', '', 'Something is left.')
     monkeypatch.setattr(workflow, '_left_over', lambda *_: left)
     monkeypatch.setattr(workflow, '_named', lambda likelihood, findings, *_: (findings, left))
-    monkeypatch.setattr(workflow, '_written',
-                        lambda likelihood, found, *_: (found.before, found.before))
+    monkeypatch.setattr(workflow._Choice, 'written', lambda self, *_: 2 * (self._found.before,))
     case, _ = named
     result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
     assert (result.verdict, result.findings, result.unexplained) == (UNEXPLAINED, (), left)

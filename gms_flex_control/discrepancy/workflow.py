@@ -125,9 +125,9 @@ def _compared(motions, holdout, robot, options, say):
         found = _named_alone(likelihood, found, {one.key for one in findings})
     more = left is not None or gap.is_above_floor(thresholds.BETTER)
     whole = whole if left else found
-    after, alone = _written(likelihood, found, whole, held_out, [
-        searched.best, predicting_subset(likelihood, whole, held_out)] if more else [],
-        {one.key: one.main for one in findings})
+    after, alone = _Choice(
+        likelihood, found, held_out, {one.key: one.main for one in findings}).written(
+        whole, [searched.best, predicting_subset(likelihood, whole, held_out)] if more else [])
     retuned_alone = replace(gap, after=gap.retuned, free_after=gap.free_before)
     if after is not all_found:
         gap = held_out.gap(alone, after)
@@ -277,61 +277,87 @@ def _named_alone(likelihood, found, named):
     return found._replace(best=with_fewer(likelihood, found, *withheld))
 
 
-def _written(likelihood, found, larger, held_out, further, named):
+class _Choice:
     """
-    Return the State that predicts torque and free runs best on held-out data, and one without.
+    Which State is written, of those a search has tried.
 
-    The second has no effects, and its known parameters are re-tuned as far, or as given. The
-    first is that with the effects found, if they are ``named`` (dict of key to whether it is
-    main) or explain more than they leave, unless another is clearly better: with fewer, with such
-    as only resemble what is missing (``larger``, a Found), or ``further`` States. Parameters are
-    re-tuned, or if that may not be written re-tuned without effects or as given (all, or all but
-    those of the joints with effects that are ``named``), or else with fewer of the effects. None
-    is written that predicts torque, the drive's torque or free runs worse than the model as given,
-    which may have been fitted to the blocks left out, or effects worse than the same parameters
-    re-tuned alone; where one of them is main, not by what matters, and not clearly. A known
-    parameter beyond its prior takes no effect's place: it is a wrong belief.
+    ``named`` are the effects that are named, dict of key to whether it is main. States are
+    compared on held-out data. None is written that predicts torque, the drive's torque or free
+    runs worse than the model as given, which may have been fitted to the blocks left out; nor
+    with effects worse than the same parameters re-tuned alone. Where one of them is main, worse
+    means clearly, and by what matters.
     """
-    known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
-    limit = plausible_limit(likelihood, found.best.model)
 
-    def is_plausible(state):
-        return np.all(np.abs(state.model.x) / likelihood.sd <= limit)
-    for state in sorted(found.tried, key=lambda state: -state.evidence):
-        if np.isfinite(state.evidence) and is_plausible(state):
-            best.setdefault(len(state.key(known)), state)
+    def __init__(self, likelihood, found, held_out, named):
+        self._likelihood, self._found, self._held_out = likelihood, found, held_out
+        self._named, self._limit = named, plausible_limit(likelihood, found.best.model)
+        self._given = as_given(likelihood, found.before, found.nuisances)
 
-    def is_safe(state, alone):
-        effects = state.key(known)
-        matters = any(named.get(key) for key in effects)
-        return not (held_out.worsens(
-            state, given, matters * (
-                thresholds.WORSE if held_out.other else thresholds.NOT_CLEARLY))
-            or effects and held_out.worsens(state, alone, matters * thresholds.NOT_CLEARLY))
+    def written(self, larger, further) -> tuple:
+        """
+        Return the State that predicts best, and one without effects, as far re-tuned.
 
-    def is_written(state, alone=found.before):
-        return is_safe(state, alone) and (held_out.other or _may_stand_in(
-            likelihood, held_out, state, (found.before, given), named))
-    others = [one for one in (
-        found.before, larger.best, *(best[size] for size in sorted(best)[:_SIZES]), *further)
-        if (one.key(known) or is_plausible(one)) and is_written(one)]
-    wholes = [(found.best, found.before)] if is_written(found.best) else []
-    if found.best.key(known) and not wholes:
-        of_named = {joint for _, joint in named if joint in likelihood.robot.joints}
-        pairs = [(as_before(likelihood, found.best, found.before), found.before)]
-        for but in ((), of_named):
-            pairs.append(tuple(as_given(likelihood, state, found.nuisances, but)
-                               for state in (found.best, found.before)))
-        wholes += [pair for pair in pairs if is_written(*pair)]
-    if found.best.key(known) and not wholes:
-        parts = islice(subsets(likelihood, found, held_out, lambda state: as_given(
-            likelihood, state, found.nuisances)), _SIZES)
-        wholes = [(one, given) for one in parts if is_written(one, given)]
-    other = min((given, *others), key=held_out.energy)
-    other = other, found.before if other.key(known) else other
-    whole = min(wholes, key=lambda pair: held_out.energy(pair[0]), default=other)
-    return (whole if thresholds.CLEARLY * held_out.energy(other[0]) >= held_out.energy(whole[0])
-            else other)
+        That with all effects found, unless another is clearly better: with fewer, with such as
+        only resemble what is missing (``larger``, a Found), or ``further`` States.
+        """
+        known, energy = self._likelihood.known, self._held_out.energy
+        others = [one for one in (self._found.before, larger.best, *self._best_of_each_size(),
+                                  *further)
+                  if (one.key(known) or self._is_plausible(one)) and self._may_be(one)]
+        other = min((self._given, *others), key=energy)
+        other = other, self._found.before if other.key(known) else other
+        whole = min(self._with_effects(), key=lambda pair: energy(pair[0]), default=other)
+        return whole if thresholds.CLEARLY * energy(other[0]) >= energy(whole[0]) else other
+
+    def _with_effects(self):
+        """
+        Return the pairs of States, with the effects found and without, that may be written.
+
+        Known parameters are re-tuned; if that may not be written, re-tuned without effects or as
+        given: all, or all but those of joints with effects that are named. Else fewer effects.
+        """
+        found, joints = self._found, self._likelihood.robot.joints
+        if self._may_be(found.best):
+            return [(found.best, found.before)]
+        if not found.best.key(self._likelihood.known):
+            return []
+        of_named = {joint for _, joint in self._named if joint in joints}
+        pairs = [(as_before(self._likelihood, found.best, found.before), found.before), *(
+            tuple(self._as_given(state, but) for state in (found.best, found.before))
+            for but in ((), of_named))]
+        pairs = [pair for pair in pairs if self._may_be(*pair)]
+        if pairs:
+            return pairs
+        parts = islice(subsets(self._likelihood, found, self._held_out, self._as_given), _SIZES)
+        return [(one, self._given) for one in parts if self._may_be(one, self._given)]
+
+    def _best_of_each_size(self):
+        """Return the likeliest State of each number of effects, the smallest ones."""
+        best = {}
+        for state in sorted(self._found.tried, key=lambda state: -state.evidence):
+            if np.isfinite(state.evidence) and self._is_plausible(state):
+                best.setdefault(len(state.key(self._likelihood.known)), state)
+        return [best[size] for size in sorted(best)[:_SIZES]]
+
+    def _as_given(self, state, but=()):
+        return as_given(self._likelihood, state, self._found.nuisances, but)
+
+    def _is_plausible(self, state):
+        """Return whether no known parameter, beyond its prior, takes the place of an effect."""
+        return np.all(np.abs(state.model.x) / self._likelihood.sd <= self._limit)
+
+    def _may_be(self, state, alone=None):
+        """Return whether a State may be written, parameters alone being ``alone``."""
+        held_out, alone = self._held_out, alone or self._found.before
+        effects = state.key(self._likelihood.known)
+        matters = any(self._named.get(key) for key in effects)
+        if held_out.worsens(state, self._given, matters * (
+                thresholds.WORSE if held_out.other else thresholds.NOT_CLEARLY)):
+            return False
+        if effects and held_out.worsens(state, alone, matters * thresholds.NOT_CLEARLY):
+            return False
+        return bool(held_out.other) or _may_stand_in(
+            self._likelihood, held_out, state, (self._found.before, self._given), self._named)
 
 
 def _may_stand_in(likelihood, held_out, state, without, named):

@@ -82,7 +82,7 @@ class AxisFit(NamedTuple):
     sine: float            # gravity torque b sin q [N m]
     constant: float        # torque that friction cannot explain, needed both ways [N m]; or 0
     friction: float        # usual friction, mean of both directions [N m]
-    error: np.ndarray      # (4,), standard errors of these
+    error: np.ndarray      # (4,), standard errors of the first four
     has_gravity: bool
     explained: float       # share of the torque's variance
     inertia_known: bool    # whether the inertia is clearly above zero
@@ -169,58 +169,84 @@ def friction_regressors(rate: np.ndarray, usual: float | None = None) -> np.ndar
     return np.stack(columns, axis=1)
 
 
+class _Model(NamedTuple):
+    """Columns (S, C) of the torque: inertia, gravity or none, friction, ripple, load or none."""
+
+    columns: np.ndarray
+    gravity: slice
+    friction: slice
+    wave: slice
+    load: slice
+    off: float    # robust error on data held out [N m]
+
+
 def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None,
              turns: bool = True) -> AxisFit:
     """Fit inertia and, where it ``turns``, gravity of an axis, beside the ``wave`` of a ripple."""
-    usual = float(np.sqrt(np.mean(rows.rate ** 2)))
-    moving = np.abs(rows.rate) > SLOWEST * usual
+    moving = _moving(rows, joint, source)
+    rows = Rows(*(part[moving] for part in rows))
+    model = _model(rows, np.empty((len(rows.rate), 0)) if wave is None else wave[moving], turns)
+    values, error = solution(model.columns, rows.torque, rows.block)
+    known = values[0] > CONFIDENT * error[0]
+    if not known:  # what is no inertia must not bend the rest
+        kept, wide = solution(model.columns[:, 1:], rows.torque, rows.block)
+        values, error = np.append(0.0, kept), np.append(error[0], wide)
+
+    def torque_of(part):
+        return model.columns[:, part] @ values[part]
+    rest = rows.torque - torque_of(slice(None))
+    left, rippling = np.zeros((2, len(moving)))
+    left[moving], rippling[moving] = rest, torque_of(model.wave)
+    found = np.zeros((2, 4))
+    count = model.gravity.stop
+    found[:, :count] = values[:count], error[:count]
+    friction, both_ways = torque_of(model.friction), np.ptp(np.sign(rows.rate)) > 0.0
+    levels = _levels(friction + torque_of(model.load), rows.rate)
+    constant = 0.5 * (levels[0] - levels[1])
+    if both_ways and _is_lopsided(levels) and abs(constant) > CONFIDENT * error[count]:
+        found[:, 3] = constant, error[count]
+    torque = float(np.std(rows.torque)) or 1.0
+    return AxisFit(
+        *map(float, found[0]), error=found[1], has_gravity=count > 1,
+        friction=max(sum(_levels(friction, rows.rate)) / (1.0 + both_ways), _LEAST * torque),
+        explained=float(1.0 - np.var(rest) / torque ** 2), inertia_known=bool(known),
+        share=float(values[0] * np.std(rows.acceleration) / torque), left=left,
+        rippling=rippling, wave=values[model.wave], off=model.off,
+        wave_error=float(np.sqrt(np.sum(error[model.wave] ** 2))),
+        per_load=float(values[model.load].sum()))
+
+
+def _moving(rows, joint, source):
+    """Return in which rows an axis moves, bool (S,); IdentificationError where that shows none."""
+    moving = np.abs(rows.rate) > SLOWEST * np.sqrt(np.mean(rows.rate ** 2))
     if moving.sum() < _FEWEST:
         raise IdentificationError(f'{source}: {joint} moves in {moving.sum()} samples only; '
                                   'record longer motion to identify its inertia')
-    rows = Rows(*(part[moving] for part in rows))
-    if np.ptp(rows.torque) <= _CONSTANT * np.abs(rows.torque).max():
+    torque = rows.torque[moving]
+    if np.ptp(torque) <= _CONSTANT * np.abs(torque).max():
         raise IdentificationError(f'{source}: the torque of {joint} never changes '
-                                  f'({rows.torque[0]:.3g} N m) while it moves, which shows no '
+                                  f'({torque[0]:.3g} N m) while it moves, which shows no '
                                   'inertia; record the torque that its drive gives')
-    wave = np.empty((len(moving), 0)) if wave is None else wave
+    return moving
+
+
+def _model(rows, wave, turns):
+    """Return the _Model of rows that move, gravity and friction by load where they help."""
     gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
-    others = np.concatenate([rows.acceleration[:, None], friction_regressors(rows.rate),
-                             wave[moving]], axis=1)
+    others = np.concatenate([rows.acceleration[:, None], friction_regressors(rows.rate), wave],
+                            axis=1)
     both = np.concatenate([rows.acceleration[:, None], gravity, others[:, 1:]], axis=1)
     with_gravity, off = (held_out_error(one, rows.torque, rows.block) for one in (both, others))
     is_usual = np.ptp(rows.angle) > _NARROW and not _is_cancelled(both, others, rows,
                                                                   wave.shape[1])
     has_gravity = turns and with_gravity < (_WORTH if is_usual else _CLEAR) * off
     columns, off = (both, with_gravity) if has_gravity else (others, off)
-    plain = columns.shape[1]
+    plain, count = columns.shape[1], 3 if has_gravity else 1
     if has_gravity:
         columns, off = _with_load(columns, rows, off)
-    values, error = solution(columns, rows.torque, rows.block)
-    known = values[0] > CONFIDENT * error[0]
-    if not known:  # what is no inertia must not bend the rest
-        kept, wide = solution(columns[:, 1:], rows.torque, rows.block)
-        values, error = np.append(0.0, kept), np.append(error[0], wide)
-    rest = rows.torque - columns @ values
-    wave = slice(plain - wave.shape[1], plain)
-    left, rippling = np.zeros((2, len(moving)))
-    left[moving], rippling[moving] = rest, columns[:, wave] @ values[wave]
-    found = np.zeros((2, 4))
-    count = 3 if has_gravity else 1
-    found[:, :count] = values[:count], error[:count]
-    friction = columns[:, count:wave.start] @ values[count:wave.start]
-    grown = columns[:, plain:] @ values[plain:]
-    levels = _levels(friction + grown, rows.rate)
-    both_ways = np.ptp(np.sign(rows.rate)) > 0.0
-    constant = 0.5 * (levels[0] - levels[1])
-    if both_ways and _is_lopsided(levels) and abs(constant) > CONFIDENT * error[count]:
-        found[:, 3] = constant, error[count]
-    level = max(sum(_levels(friction, rows.rate)) / (1.0 + both_ways),
-                _LEAST * float(np.std(rows.torque)))
-    return AxisFit(*map(float, found[0]), level, found[1], bool(has_gravity),
-                   float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(known),
-                   float(values[0] * np.std(rows.acceleration) / (np.std(rows.torque) or 1.0)),
-                   left, rippling, values[wave], float(np.sqrt(np.sum(error[wave] ** 2))), off,
-                   float(values[plain:].sum()))
+    at = plain - wave.shape[1]
+    return _Model(columns, slice(1, count), slice(count, at), slice(at, plain),
+                  slice(plain, columns.shape[1]), off)
 
 
 def _is_cancelled(both, others, rows, waves):

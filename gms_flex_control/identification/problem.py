@@ -64,44 +64,16 @@ class Problem:
     def __init__(self, given, holdouts, robot, *, whole=False, alone=True, beside=None):
         self.whole, self._given = whole, (given, holdouts, robot)
         half = half_count(given[0][0].of_joints(robot.joints), robot)  # of readings as they are
-        recordings = [assumed_robot.cleared(one.of_joints(robot.joints), robot)
-                      for one, _ in (*given, *holdouts)]
-        period, joints = _common_period(recordings), range(robot.n_joints)
-        self.arm_fit = estimate_arm(recordings[:len(given)], robot) if whole else None
-        robot = self.arm_fit.robot if whole else robot
-        self.described, self.sides = robot, drive_sides(recordings[0], robot)
-        self._recordings = recordings[:len(given)]
-        if not whole:
-            beside = beside or believed(self._recordings, robot)
-            robot = replace(robot, arm=beside.arm)
-            recordings = [beside.cleared(one) for one in recordings]
-        self._beside = beside
-        self.differences = None  # of an arm in space alone
-        if robot.arm.frames is not None:
-            self.differences = self.arm_fit.differences if whole else fit_differences(
-                recordings[:len(given)], robot)
-        self.robot = rigid_where(robot, self.sides)
-        parts = [segments_of(recording, robot, self.sides, phases, period) for recording,
-                 (_, phases) in zip(recordings, (*given, *holdouts), strict=True)]
-        if self.differences:
-            parts = [[self.differences.cleared(one, r) for one in part]
-                     for r, part in enumerate(parts)]
-        found = self.differences.loads if self.differences else {}
-        loads = [found[r].body if r in found else one.operation.load
-                 for r, one in enumerate(recordings)]
-        self._alone = alone and robot.arm.kind != 'decoupled'
-        if self._alone:
-            parts, self.robot = one_by_one(parts, self.robot, loads,
-                                           self.differences and self.differences.loaded)
-        if whole:
-            parts = [[self.arm_fit.cleared(one) for one in part] for part in parts]
-        fitted, apart = (while_moved([one for part in parts[rows] for one in part],
-                                     recordings[rows]) for rows in (
-            slice(len(given)), slice(len(given), None)))
-        segments, self._apart = numbered(fitted, period), apart
-        self._steps = np.array([resolution(segments, j, 2.0 * half[j]) for j in joints])
-        self.maps = [friction_map(segments, self.robot.arm, j, period, half[j]) for j in joints]
+        recordings, believed_robot = self._settle_arm(
+            [assumed_robot.cleared(one.of_joints(robot.joints), robot)
+             for one, _ in (*given, *holdouts)], robot, beside)
         self._sources = [one.source for one, _ in given]
+        period = _common_period(recordings)
+        self._alone = alone and robot.arm.kind != 'decoupled'
+        segments, self._apart = self._cut(recordings, believed_robot, period)
+        self._steps = np.array([resolution(segments, j, 2.0 * one) for j, one in enumerate(half)])
+        self.maps = [friction_map(segments, self.robot.arm, j, period, one)
+                     for j, one in enumerate(half)]
         self.fitted = self._joints_to_fit()  # all that follows is of these joints
         if len(self.fitted) < robot.n_joints:
             self.robot = assumed_robot.only_joints(
@@ -112,7 +84,7 @@ class Problem:
                                      for several in (segments, self._apart))
         arm, half, self.step = self.robot.arm, half[self.fitted], self._steps[self.fitted]
         self.starts = [start_of(self.maps[k], travel(segments, k), self.step[k],
-                                robot.joints[j], recordings[0].source,
+                                robot.joints[j], self._sources[0],
                                 self.arm_fit.joints[j].friction if whole else None)
                        for k, j in enumerate(self.fitted)]
         coulomb = np.array([start.forward.coulomb for start in self.starts])
@@ -122,6 +94,44 @@ class Problem:
             observer_bandwidth(arm, coulomb, half, self.step / 3.0, period),
             tuple(extras[j] for j in self.fitted))
         self.choices = ()
+
+    def _settle_arm(self, recordings, robot, beside):
+        """Set what friction is fitted beside; return recordings as acted, and the robot."""
+        self._recordings = recordings[:len(self._given[0])]
+        self.arm_fit = estimate_arm(self._recordings, robot) if self.whole else None
+        robot = self.arm_fit.robot if self.whole else robot
+        self.described, self.sides = robot, drive_sides(recordings[0], robot)
+        if not self.whole:
+            beside = beside or believed(self._recordings, robot)
+            robot = replace(robot, arm=beside.arm)
+            recordings = [beside.cleared(one) for one in recordings]
+        self._beside = beside
+        self.differences = None  # of an arm in space alone
+        if robot.arm.frames is not None:
+            self.differences = self.arm_fit.differences if self.whole else fit_differences(
+                recordings[:len(self._given[0])], robot)
+        return recordings, robot
+
+    def _cut(self, recordings, robot, period):
+        """Set the robot; return the segments that are fitted, and those of holdouts."""
+        (given, holdouts, _), self.robot = self._given, rigid_where(robot, self.sides)
+        parts = [segments_of(recording, robot, self.sides, phases, period) for recording,
+                 (_, phases) in zip(recordings, (*given, *holdouts), strict=True)]
+        if self.differences:
+            parts = [[self.differences.cleared(one, r) for one in part]
+                     for r, part in enumerate(parts)]
+        found = self.differences.loads if self.differences else {}
+        loads = [found[r].body if r in found else one.operation.load
+                 for r, one in enumerate(recordings)]
+        if self._alone:
+            parts, self.robot = one_by_one(parts, self.robot, loads,
+                                           self.differences and self.differences.loaded)
+        if self.whole:
+            parts = [[self.arm_fit.cleared(one) for one in part] for part in parts]
+        fitted, apart = (while_moved([one for part in parts[rows] for one in part],
+                                     recordings[rows]) for rows in (
+            slice(len(given)), slice(len(given), None)))
+        return numbered(fitted, period), apart
 
     def _joints_to_fit(self):
         """
