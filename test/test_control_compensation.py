@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from core_runs import model_with_error, single_axis
 from gms_flex_control import friction as gms
-from gms_flex_control.control import compensation
+from gms_flex_control.control import compensation, observer
 from gms_flex_control.friction import steady_friction, stribeck_level
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams, FrictionParams, StribeckParams
@@ -56,6 +56,28 @@ def test_models_estimate_sliding_friction_as_eq_6(arm, mode):
     sliding = slice(2500, 3400)
     expected = steady_friction(found.true[sliding, 1], robot.friction)
     np.testing.assert_allclose(found.friction_hat[sliding], expected, rtol=0.01)
+
+
+@pytest.mark.parametrize('correction', [0.0, 0.8, -3.0])
+def test_a_slipping_block_of_the_observer_decays_to_its_corrected_level(arm, correction):
+    """
+    Eq. (20) at constant velocity, dF/dt = C (alpha r - F / s) - k_e s_1, solved.
+
+    The last correction is more than may be taken away, half of alpha C.
+    """
+    friction, dt, velocity, smooth = arm[0].friction, 2e-3, np.full(2, 0.05), np.full(2, 0.9)
+    blocks = gms.init(friction)
+    blocks.sticking[:] = 0
+    record = gms.constants_of(friction)
+    for _ in range(40):
+        observer.advance(blocks, velocity * dt, velocity, smooth, np.full(2, correction),
+                         np.zeros(2), dt, record)
+    level = stribeck_level(velocity, friction)[:, None]
+    attraction, weight = friction.attraction[:, None], friction.weight
+    most = 0.5 * weight * attraction
+    goal = level * (0.9 * weight - np.clip(correction, -most, most) / attraction)
+    expected = goal * (1.0 - np.exp(-attraction * 40 * dt / level))
+    np.testing.assert_allclose(blocks.torque, expected, rtol=1e-9)
 
 
 def test_gms_of_the_desired_motion_is_friction_replayed_along_the_reference(arm):

@@ -11,7 +11,8 @@ import numpy as np
 # verdicts
 COMPLETE = 'complete'         # nothing that matters is missing
 FOUND = 'effects_found'       # effects that matter are named and added; more may be missing
-UNEXPLAINED = 'unexplained'   # something is missing, and no effect explains it well enough
+UNEXPLAINED = 'unexplained'   # something is missing; no effect explains it, or no model with the
+#                               effect that is named predicts as well: then nothing is added
 BAD_DATA = 'bad_data'         # the recordings are at fault: nothing was searched
 
 
