@@ -7,6 +7,7 @@ normal; a change that such a prior makes implausible is an error with a name, su
 stiffness_error, whose own prior is as wide as errors are.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -36,13 +37,26 @@ class _Kind(NamedTuple):
     what: str
     unit: str             # in which it is reported
     factor: float         # of which one SI unit has so many
+    clear: Callable | None = None  # clears torques of a joint (T,) of a size; None: of angles
+
+
+def _of_bias(torque, size):
+    torque -= size
+
+
+def _of_scale(torque, size):
+    torque /= 1.0 + size
+
+
+def _of_delay(torque, size):
+    torque[1:] -= size * np.diff(torque)  # held: a sample has the mean of what acted in it
 
 
 # units: Coulomb friction, torque, a sample, and the torsion that ten times Coulomb friction makes
 OF_RECORDING = {
-    'torque_bias_of_recording': _Kind(0.05, 0.01, 'torque', 'N m', 1.0),
-    'torque_scale_of_recording': _Kind(0.01, 0.01, 'torque', '%', 100.0),
-    'delay_of_recording': _Kind(0.1, 0.1, 'torque', 'samples later', 1.0),
+    'torque_bias_of_recording': _Kind(0.05, 0.01, 'torque', 'N m', 1.0, _of_bias),
+    'torque_scale_of_recording': _Kind(0.01, 0.01, 'torque', '%', 100.0, _of_scale),
+    'delay_of_recording': _Kind(0.1, 0.1, 'torque', 'samples later', 1.0, _of_delay),
     'zero_of_recording': _Kind(0.1, 0.001, 'zero of the link encoder', 'mrad', 1e3)}
 _ZEROS = 10.0
 
@@ -97,34 +111,29 @@ class OfRecording(NamedTuple):
     unit: float           # of the kind [rad], [N m], 1 or [samples]
     fields = ()
 
+    @property
+    def kind(self) -> _Kind:
+        """Return the way in which it differs."""
+        return OF_RECORDING[self.name]
+
     def apply(self, boxed, value, own) -> None:
         """Leave a record of simulation.plant.constants_of as it is: no robot has it."""
 
     def words(self, joints, value) -> str:
         """Return ``value`` units in words, of a robot with ``joints``."""
-        kind = OF_RECORDING[self.name]
-        return (f'{kind.what} of {joints[self.joint]} {kind.factor * value * self.unit:+.3g} '
-                f'{kind.unit} in recording {self.recording + 1}')
+        size = self.kind.factor * value * self.unit
+        return (f'{self.kind.what} of {joints[self.joint]} {size:+.3g} {self.kind.unit} in '
+                f'recording {self.recording + 1}')
 
     def is_reported(self, value) -> bool:
         """Return whether ``value`` units matter."""
-        return abs(value) > OF_RECORDING[self.name].least
-
-    def clear_torque(self, torque, value) -> None:
-        """Clear torques (T, n) of ``value`` units in place; leave them of an encoder zero."""
-        size, j = value * self.unit, self.joint
-        if self.name == 'torque_bias_of_recording':
-            torque[:, j] -= size
-        elif self.name == 'torque_scale_of_recording':
-            torque[:, j] /= 1.0 + size
-        elif self.name == 'delay_of_recording':  # held: a sample has the mean of what acted in it
-            torque[1:, j] -= size * np.diff(torque[:, j])
+        return abs(value) > self.kind.least
 
 
 def recorded(motion, values) -> Motion:
     """Return a Motion cleared of what is particular: ``values`` (OfRecording, float), tuple."""
     zeros = tuple((one.joint, value * one.unit) for one, value in values
-                  if one.name == 'zero_of_recording')
+                  if not one.kind.clear)
     if zeros:
         motion = motion.once(('zeros', zeros), lambda: _with_zeros(motion, zeros))
     if len(zeros) == len(values):
@@ -133,7 +142,8 @@ def recorded(motion, values) -> Motion:
     def cleared(command):
         torque = command.copy()
         for one, value in values:
-            one.clear_torque(torque, value)
+            if one.kind.clear:
+                one.kind.clear(torque[:, one.joint], value * one.unit)
         return torque
     return motion.with_torque(tuple((one.name, one.joint, value) for one, value in values),
                               cleared)
