@@ -46,6 +46,14 @@ def test_a_bent_torque_is_no_gravity_that_a_constant_torque_takes_away():
     assert fit.friction == pytest.approx(0.08, rel=0.2)  # viscous part included
 
 
+def test_what_is_beside_gaps_that_cut_a_quick_motion_does_not_bend_friction():
+    take = pendulum(rate=50.0, seconds=50.0, pace=2.0, pull=0.0)
+    kept = (take.time % 2.6 > 0.05) | (take.time < 1.0)
+    found = identify([(take.of_samples(kept), ())], rigid_joints(take.joints), options=ALL)
+    for steady in (found.robot.friction.forward, found.robot.friction.backward):
+        assert steady.coulomb[0] == pytest.approx(0.06, rel=0.2)
+
+
 def test_a_linear_axis_has_no_gravity_that_turns_with_its_position():
     recorded = pendulum()
     robot = rigid_joints(recorded.joints)

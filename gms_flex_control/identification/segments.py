@@ -149,10 +149,14 @@ def segments_of(recording: Recording, robot: RobotParams, sides: Sequence[str], 
     bridged = max(round(_BRIDGED / period), 2)
     gap = np.diff(recording.time) > (bridged + 0.5) * period
     cuts = np.flatnonzero(gap | _handed_over(phases, recording)) + 1
-    pieces = []
+    beside, pieces = np.pad(gap, 1), []
     for rows in np.split(np.arange(len(stamps)), cuts):
         if np.ptp(recording.time[rows]) + period >= SHORTEST:
-            pieces.append(_segment(recording, robot, sides, phases, rows, period, even))
+            piece = _segment(recording, robot, sides, phases, rows, period, even)
+            # a gap cuts a quick motion short, and filters see but one side of what is beside it
+            piece.tested[:piece.window * beside[rows[0]]] = False
+            piece.tested[len(piece.tested) - piece.window * beside[rows[-1] + 1]:] = False
+            pieces.append(piece)
     if not pieces:
         raise IdentificationError(
             f'{recording.source}: no piece of {SHORTEST:g} s without a gap; record longer')
