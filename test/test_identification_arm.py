@@ -10,7 +10,13 @@ from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_fit import estimate_arm
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.assumed_robot import rigid_joints
-from gms_flex_control.identification.axis_fit import fit_axis, fit_motor, held_torque, rows_of
+from gms_flex_control.identification.axis_fit import (
+    fit_axis,
+    fit_motor,
+    held_torque,
+    rows_of,
+    rows_that_agree,
+)
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of, IN_PLANE
 from gms_flex_control.params.arm import ArmParams, in_space
@@ -44,6 +50,31 @@ def test_a_bent_torque_is_no_gravity_that_a_constant_torque_takes_away():
     assert (fit.has_gravity, fit.constant) == (False, 0.0)
     assert fit.inertia == pytest.approx(0.04, rel=0.05)
     assert fit.friction == pytest.approx(0.08, rel=0.2)  # viscous part included
+
+
+def test_gravity_that_is_there_without_a_constant_torque_is_taken_beside_a_bent_torque():
+    """As of an arm with a counterweight: a slope of the angle, and a bend that has no mean."""
+    take = pendulum(pull=0.0)
+    wander = np.convolve(np.random.default_rng(3).standard_normal(len(take.time) + 59),
+                         np.full(60, 60.0 ** -0.5), 'valid')[:, None]
+    bent = 0.15 * np.sin(take.q_link) + 0.05 * (1.0 - np.cos(take.q_link)) + 0.05 * wander
+    take = replace(take, tau_motor=take.tau_motor + bent)
+    fit = fit_axis(rows_of([take], held_torque(0), 0), 'swing', 'here')
+    assert fit.has_gravity and fit.sine == pytest.approx(0.15, rel=0.1)
+    assert fit.inertia == pytest.approx(0.02, rel=0.03)
+
+
+def test_inertia_and_gravity_are_those_below_the_resonance_of_what_carries_the_axis():
+    """Shaken at 10 Hz, above its resonance, it looks as if it had a negative inertia."""
+    take = pendulum()
+    shaken = 0.01 * np.sin(20.0 * np.pi * take.time)
+    torque = 0.02 * (20.0 * np.pi) ** 2 * shaken
+    torque[1:] = 0.5 * (torque[1:] + torque[:-1])
+    take = replace(take, q_link=take.q_link + shaken[:, None],
+                   tau_motor=take.tau_motor + torque[:, None])
+    fit = fit_axis(rows_that_agree([take], held_torque(0), 0, True), 'swing', 'here')
+    assert fit.inertia == pytest.approx(0.02, rel=0.1)
+    assert fit.gravity_torque == pytest.approx(0.5, rel=0.1)
 
 
 def test_what_is_beside_gaps_that_cut_a_quick_motion_does_not_bend_friction():

@@ -103,9 +103,10 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
         return _of_chain(recordings, robot, motors)
     joints, arm, effects = [], robot.arm, []
     for j, name in enumerate(robot.joints):
-        rows = axis_fit.rows_of(recordings, _drive_of(recordings, robot.arm, j), j)
-        axis, ripple = axis_fit.fit_axis_with_ripple(
-            recordings, rows, j, name, recordings[0].source, arm.axes == 'rotary')
+        source, turns = recordings[0].source, arm.axes == 'rotary'
+        rows = axis_fit.rows_that_agree(
+            recordings, _drive_of(recordings, robot.arm, j), j, turns)
+        axis, ripple = axis_fit.fit_axis_with_ripple(recordings, rows, j, name, source, turns)
         effects += [ripple.effect(name)] if ripple else []
         # where none is seen, one that needs a small part of the torque: with much less, the blocks
         # of friction would be too stiff for the samples

@@ -23,6 +23,7 @@ damping.
 """
 
 from collections.abc import Callable, Generator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import (
@@ -46,6 +47,9 @@ from scipy.optimize import minimize_scalar
 RIPPLE = TorqueRipple.name
 SKEWED = 0.3       # part of the deflection's torque that goes with the velocity, at most
 _FEWEST = 60       # moving rows
+_SURELY = 3.0      # standard errors, and part of an inertia, by which a wider filter must show
+_LARGER = 0.25     # more of it
+_WIDEST = 4        # times the usual filter
 _NOISE_SD = 0.5    # to which the share of the torsion's variance that is noise is known
 COULOMB = [0, 4]   # columns of friction_regressors of Coulomb friction forward and backward
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
@@ -72,6 +76,7 @@ class Rows(NamedTuple):
     acceleration: np.ndarray  # (S,) [rad/s^2]
     torque: np.ndarray        # (S,) [N m]
     block: np.ndarray         # (S,) int, number of its block of time
+    wider: int = 1            # than counts of the encoder ask for: their filter
 
 
 class AxisFit(NamedTuple):
@@ -120,12 +125,16 @@ class Ripple(NamedTuple):
                           values=(self.amplitude, self.order, self.phase))
 
 
-def filtered(recordings: Sequence, signals_of: Callable) -> Generator[tuple]:
-    """Yield Derivatives of angles and others of each recording, and blocks of time (S,)."""
+def filtered(recordings: Sequence, signals_of: Callable, wider: int = 1) -> Generator[tuple]:
+    """
+    Yield Derivatives of angles and others of each recording, and blocks of time (S,).
+
+    Their filter is so many times ``wider`` than counts of encoders ask for.
+    """
     used = 0
     for recording in recordings:
         angles, others = signals_of(recording)
-        window = max(derivative_window(recording.time, angle) for angle in angles)
+        window = wider * max(derivative_window(recording.time, angle) for angle in angles)
         time, *signals = smoothed(recording.time, [recording.time, *angles, *others], window)
         if len(time.value):
             block = used + ((time.value - time.value[0]) / BLOCK_TIME).astype(int)
@@ -133,14 +142,46 @@ def filtered(recordings: Sequence, signals_of: Callable) -> Generator[tuple]:
             yield signals, block
 
 
-def rows_of(recordings: Sequence, drive: Callable, joint: int) -> Rows:
-    """Return filtered Rows of one axis, moving or not, ``drive`` Recording -> torque (T,)."""
+def rows_of(recordings: Sequence, drive: Callable, joint: int, wider: int = 1) -> Rows:
+    """Return `filtered` Rows of one axis, moving or not, ``drive`` Recording -> torque (T,)."""
     parts = [(motion.value, motion.first, motion.second, torque.value, block)
              for (motion, torque), block in filtered(recordings, lambda one: (
-                 [one.q_link[:, joint]], [drive(one)]))]
+                 [one.q_link[:, joint]], [drive(one)]), wider)]
     if not parts:
         raise IdentificationError('no recording is long enough to identify the inertia')
-    return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True)), wider)
+
+
+def rows_that_agree(recordings: Sequence, drive: Callable, joint: int, turns: bool) -> Rows:
+    """
+    Return `rows_of` behind the least filter whose inertia a wider one confirms.
+
+    What holds for torque and motion holds behind every filter. Where a joint, or what carries it,
+    swings on a spring that nothing measures, it does not near the resonance: the inertia looks
+    smaller there, and gravity, where the axis ``turns``, hides in what is left.
+    """
+    rows = rows_of(recordings, drive, joint)
+    inertia, error = _any_inertia(rows, turns)
+    while rows.wider < _WIDEST:
+        wider = rows_of(recordings, drive, joint, 2 * rows.wider)
+        other, other_error = _any_inertia(wider, turns)
+        if not other - inertia > max(_SURELY * np.hypot(error, other_error), _LARGER * inertia):
+            break
+        rows, inertia, error = wider, other, other_error
+    return rows
+
+
+def _any_inertia(rows, turns):
+    """Return the inertia beside all that may be there, and its standard error; NaN of few rows."""
+    moves = _in_motion(rows)
+    if moves.sum() < _FEWEST:
+        return np.nan, np.nan
+    rate, angle = rows.rate[moves], rows.angle[moves]
+    gravity = [np.cos(angle), np.sin(angle)] if turns else []
+    values, errors = solution(
+        np.column_stack([rows.acceleration[moves], *gravity, friction_regressors(rate)]),
+        rows.torque[moves], rows.block[moves])
+    return values[0], errors[0]
 
 
 def held_torque(joint: int) -> Callable:
@@ -184,7 +225,7 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
              turns: bool = True) -> AxisFit:
     """Fit inertia and, where it ``turns``, gravity of an axis, beside the ``wave`` of a ripple."""
     moving = _moving(rows, joint, source)
-    rows = Rows(*(part[moving] for part in rows))
+    rows = Rows(*(part[moving] for part in rows[:-1]))
     model = _model(rows, np.empty((len(rows.rate), 0)) if wave is None else wave[moving], turns)
     values, error = solution(model.columns, rows.torque, rows.block)
     known = values[0] > CONFIDENT * error[0]
@@ -218,7 +259,7 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
 
 def _moving(rows, joint, source):
     """Return in which rows an axis moves, bool (S,); IdentificationError where that shows none."""
-    moving = np.abs(rows.rate) > SLOWEST * np.sqrt(np.mean(rows.rate ** 2))
+    moving = _in_motion(rows)
     if moving.sum() < _FEWEST:
         raise IdentificationError(f'{source}: {joint} moves in {moving.sum()} samples only; '
                                   'record longer motion to identify its inertia')
@@ -230,23 +271,48 @@ def _moving(rows, joint, source):
     return moving
 
 
+def _in_motion(rows):
+    """Return in which rows an axis moves, bool (S,)."""
+    return np.abs(rows.rate) > SLOWEST * np.sqrt(np.mean(rows.rate ** 2))
+
+
 def _model(rows, wave, turns):
     """Return the _Model of rows that move, gravity and friction by load where they help."""
-    gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
-    others = np.concatenate([rows.acceleration[:, None], friction_regressors(rows.rate), wave],
-                            axis=1)
-    both = np.concatenate([rows.acceleration[:, None], gravity, others[:, 1:]], axis=1)
-    with_gravity, off = (held_out_error(one, rows.torque, rows.block) for one in (both, others))
-    is_usual = np.ptp(rows.angle) > _NARROW and not _is_cancelled(both, others, rows,
-                                                                  wave.shape[1])
-    has_gravity = turns and with_gravity < (_WORTH if is_usual else _CLEAR) * off
-    columns, off = (both, with_gravity) if has_gravity else (others, off)
+    columns, off, has_gravity = _columns_of(rows, wave, turns)
     plain, count = columns.shape[1], 3 if has_gravity else 1
     if has_gravity:
         columns, off = _with_load(columns, rows, off)
     at = plain - wave.shape[1]
     return _Model(columns, slice(1, count), slice(count, at), slice(at, plain),
                   slice(plain, columns.shape[1]), off)
+
+
+def _columns_of(rows, waves, turns):
+    """
+    Return the columns that explain the torque, their held-out error, and whether gravity is there.
+
+    Inertia comes first, then cosine and sine of gravity, friction, and ``waves`` (S, W).
+    """
+    gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
+    inertia, friction = rows.acceleration[:, None], friction_regressors(rows.rate)
+    forward, backward = np.split(friction, 2, axis=1)
+    either, constant = forward + backward, np.ones((len(rows.rate), 1))
+    tries = [
+        np.concatenate([inertia, *parts, waves], axis=1) for parts in (
+            (gravity, friction), (gravity, either), (friction,), (constant, either))]
+    both, alike, others, _ = tries
+    with_gravity, with_alike, off, level_off = (
+        held_out_error(one, rows.torque, rows.block) for one in tries)
+    worth = _WORTH if np.ptp(rows.angle) > _NARROW else _CLEAR
+    cancelled = _is_cancelled(both, others, rows, waves.shape[1])
+    if turns and with_gravity < (_CLEAR if cancelled else worth) * off:
+        return both, with_gravity, True
+    # what a constant torque takes away is no gravity, unless friction alike both ways leaves it
+    if not (turns and cancelled and with_alike < worth * min(off, level_off)):
+        return others, off, False
+    if with_gravity < _WORTH * with_alike:
+        return both, with_gravity, True
+    return alike, with_alike, True
 
 
 def _is_cancelled(both, others, rows, waves):
@@ -309,9 +375,10 @@ def fit_axis_with_ripple(recordings: Sequence, rows: Rows, joint: int, name: str
     if not orders:
         return axis, None
     found, order = axis, orders[0]
+    waves_at = partial(_waves_of, recordings, joint, rows.wider)
     for _ in range(_RIPPLE_ROUNDS):
-        order = _nearest_best(recordings, joint, found.left + found.rippling, order, span)
-        found = fit_axis(rows, name, source, _waves_of(recordings, joint, order), turns)
+        order = _nearest_best(waves_at, found.left + found.rippling, order, span)
+        found = fit_axis(rows, name, source, waves_at(order), turns)
     size = float(np.hypot(*found.wave))
     if found.off > _WORTH * axis.off or size < _RIPPLE_CLEAR * found.wave_error:
         return axis, None
@@ -320,26 +387,26 @@ def fit_axis_with_ripple(recordings: Sequence, rows: Rows, joint: int, name: str
                          found.wave_error, float(phase_error))
 
 
-def _nearest_best(recordings, joint, torque, order, span):
+def _nearest_best(waves_at, torque, order, span):
     """Return the order near one that explains most of a torque (S,)."""
     moves = torque != 0.0
     target = torque[moves]
 
     def unexplained(trial):
-        waves = _waves_of(recordings, joint, trial)[moves]
+        waves = waves_at(trial)[moves]
         return np.sum((target - waves @ np.linalg.lstsq(waves, target, rcond=None)[0]) ** 2)
     reach = 2.0 * np.pi * _ABOUT / span
     return float(minimize_scalar(unexplained, bounds=(order - reach, order + reach),
                                  method='bounded', options={'xatol': 1e-3 * reach}).x)
 
 
-def _waves_of(recordings, joint, order):
+def _waves_of(recordings, joint, wider, order):
     """Return sine and cosine of ``order`` times the angle, filtered as rows_of does, (S, 2)."""
     parts = []
     for recording in recordings:
         angle = recording.q_link[:, joint]
         signals = smoothed(recording.time, [np.sin(order * angle), np.cos(order * angle)],
-                           derivative_window(recording.time, angle))
+                           wider * derivative_window(recording.time, angle))
         parts.append(np.stack([signal.value for signal in signals], axis=1))
     return np.concatenate(parts)
 
