@@ -169,6 +169,16 @@ def test_unwrapping_undoes_full_turns(load):
     np.testing.assert_allclose(log.recording.q_link[:, 0], 3 * T, atol=1e-12)
 
 
+@pytest.mark.parametrize('unit, span', [('rad', 25.0), ('counts, counts_per_rev: 4096', 65536.0)])
+def test_unwrapping_undoes_the_range_after_which_a_drive_begins_again(load, unit, span):
+    """Drives report +-12.5 rad, or 16 bits of counts."""
+    size = 1.0 if unit == 'rad' else 2.0 * np.pi / 4096
+    turned = 20.0 * T / T[-1] * span
+    log = load({'t': T, 'q': (turned + 0.5 * span) % span - 0.5 * span},
+               PLAIN.replace('rad', f'{unit}, unwrap_range: {span}'))
+    np.testing.assert_allclose(log.recording.q_link[:, 0], size * turned, atol=1e-6 * span)
+
+
 def test_empty_cells_become_nan_and_are_counted(load):
     log = load({'t': T, 'q': Q}, edit=change_line(7, f'{T[5]},'))
     assert np.isnan(log.recording.q_link[5, 0]) and np.isnan(log.recording.q_link).sum() == 1

@@ -323,9 +323,10 @@ def _in_si(raw, channel, table, keep, place):
             pwm.voltage, place)[keep]
         factor = pwm.torque_per_volt * volts / pwm.full_scale
     values = channel.sign * channel.scale * factor * (raw + channel.offset)
-    if channel.unwrap:
+    if channel.unwrap or channel.unwrap_range:
+        period = factor * channel.unwrap_range if channel.unwrap_range else 2 * np.pi
         known = np.isfinite(values)
-        values[known] = np.unwrap(values[known], period=2 * np.pi * abs(channel.scale))
+        values[known] = np.unwrap(values[known], period=period * abs(channel.scale))
     gear = channel.gear_ratio
     return values * gear if channel.quantity == 'torque' else values / gear
 

@@ -42,12 +42,13 @@ DELIMITERS = {'tab': '\t', 'space': ' ', 'comma': ',', 'semicolon': ';'}
 
 # how each key of a channel is read
 _READ = {'column': 'column', 'sign': 'number', 'scale': 'number', 'offset': 'number',
-         'gear_ratio': 'positive', 'unwrap': 'flag', 'counts_per_rev': 'positive',
+         'gear_ratio': 'positive', 'unwrap': 'flag', 'unwrap_range': 'positive',
+         'counts_per_rev': 'positive',
          'estimate': 'positive', 'full_scale': 'positive', 'voltage': 'column',
          'torque_per_volt': 'positive', 'back_emf': 'number', 'enabled': 'column',
          'torque_constant': 'positive'}
 _COMMON = ('column', 'unit', 'sign', 'scale', 'offset', 'gear_ratio')
-_KEYS = {'position': (*_COMMON, 'unwrap', 'counts_per_rev'),
+_KEYS = {'position': (*_COMMON, 'unwrap', 'unwrap_range', 'counts_per_rev'),
          'velocity': (*_COMMON, 'estimate', 'counts_per_rev'),
          'torque': (*_COMMON, 'full_scale', 'voltage', 'torque_per_volt', 'back_emf',
                     'torque_constant', 'enabled')}
@@ -95,7 +96,8 @@ class Channel:
     offset: float = 0.0
     gear_ratio: float = 1.0
     counts_per_rev: float | None = None
-    unwrap: bool = False
+    unwrap: bool = False  # it begins again after a turn,
+    unwrap_range: float | None = None  # or after so much, as the column has it
     estimate: float | None = None  # window of central differences [s]
     pwm: Pwm = Pwm()
     torque_constant: float | None = None  # [N m/A]; None: the torque stays in A
