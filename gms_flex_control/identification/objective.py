@@ -10,13 +10,18 @@ from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
 from gms_flex_control.identification.friction_map import friction_torque
-from gms_flex_control.identification.segments import moving, own_inertias, Segment, smooth_angle
+from gms_flex_control.identification.segments import (
+    moving,
+    own_inertias,
+    Segment,
+    SETTLE_TIME,
+    smooth_angle,
+)
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.simulation import plant, predictor
 import numpy as np
 
 BLOCK_TIME = 2.0      # samples are pooled over this for errors that are not independent [s]
-SETTLE_TIME = 0.5     # at the beginning of a segment, when the blocks' load is not known [s]
 FOLDS = 4             # one in so many blocks of time is held out
 _LOAD_PER_STEP = 0.3  # of F_c: torque the observer corrects with per step of the encoder
 _SLOWEST, _FASTEST = 2.0, 100.0  # of the observer [rad/s]

@@ -18,6 +18,7 @@ from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 SHORTEST = 2.0         # a segment below this is left out [s]
+SETTLE_TIME = 0.5      # at the beginning of one, when the blocks' load is not known [s]
 _BRIDGED = 0.02        # torque is interpolated across gaps up to this, or two periods [s]
 _SPRING_OFF = 0.5    # of the torque's rms: a spring torque further off is not believed
 _AGREE_WINDOW = 0.2    # at least, where spring and motor torque are compared: a controller answers
@@ -187,6 +188,7 @@ def _segment(recording, robot, sides, phases, rows, period, even):
     torque = np.stack([
         _spring(recording, robot, j, grid, time, rows, whole[:, j]) if side == 'spring'
         else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
+    computed = ~robot.arm.rigid & ~np.isfinite(recording.q_motor).any(axis=0)
     robot = rigid_where(robot, sides)
     further, factor = effects_along(robot, grid - recording.time[0], whole,
                                     _motors(recording, grid, time, rows), torque, period)
@@ -199,6 +201,8 @@ def _segment(recording, robot, sides, phases, rows, period, even):
     smooth = [analysis.derivatives(whole[:, j], period, window)
               for j, window in enumerate(windows)]
     tested, phase = _tested(phases, recording, grid, robot.joints)
+    for rows in (slice(round(SETTLE_TIME / period)), slice(-max(windows), None)):
+        tested[rows, computed] = False  # a link sets off on its spring, which filters hide
     return Segment(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
                    factor=factor, tested=tested & known, phase=phase, source=recording.source,
