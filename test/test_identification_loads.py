@@ -15,7 +15,7 @@ from gms_flex_control.identification.arm_differences import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
-from gms_flex_control.identification.output import friction_values
+from gms_flex_control.identification.output import friction_values, with_friction_of
 from gms_flex_control.identification.recording_checks import require
 from gms_flex_control.identification.segments import drive_sides, one_by_one, segments_of
 from gms_flex_control.params.arm import Body
@@ -287,6 +287,26 @@ def test_an_arm_is_identified_that_was_recorded_joint_by_joint():
     values = friction_values(found)
     assert 'uncertainty.joint4.level' in values
     assert 'uncertainty.joint3.level' not in values
+
+
+def test_friction_of_one_joint_of_an_arm_is_found_and_the_others_keep_theirs():
+    """As MuJoCo has it, from half of that; so does how well the others are known."""
+    robot, arm, urdf = hidden_arm()
+    coulomb, viscous = friction_of(robot.arm)
+    believed, others = coulomb * np.where(np.arange(6) == 3, 0.5, 1.0), np.arange(6) != 3
+    friction = robot.friction.each_way(lambda steady: replace(
+        steady, static=believed, coulomb=believed, viscous=viscous))
+    robot = replace(robot, arm=arm, friction=friction, uncertainty={
+        ('level', 'joint1'): 0.011, ('level', 'joint4'): 0.012})
+    found = identify([moved(urdf, arm, 10.0, seed=3)], robot, options=Options(
+        blocks=(1,), joints=('joint4',)))
+    assert [one.joint for one in found.joints] == ['joint4']
+    own = found.robot.friction.forward
+    assert own.coulomb[3] == pytest.approx(coulomb[3], rel=0.03)
+    assert own.viscous[3] == pytest.approx(viscous[3], rel=0.03)
+    np.testing.assert_array_equal(own.coulomb[others], believed[others])
+    known = with_friction_of(robot, found).uncertainty
+    assert known['level', 'joint1'] == 0.011 and known['level', 'joint4'] != 0.012
 
 
 @pytest.mark.parametrize('torque', [np.nan, 0.0])

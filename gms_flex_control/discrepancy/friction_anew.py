@@ -5,15 +5,17 @@ Friction identified anew beside what was found to be missing.
 Friction that was identified along the same recordings has taken up part of what the model lacks: a
 Stribeck curve as wide as motion is fast, blocks too soft, Coulomb friction of another level. What
 that spoils has names of its own. Beside effects, friction is identified as it is, and the search
-that begins from there needs fewer of them.
+that begins from there needs fewer of them. Joints of an arm in space are identified one by one:
+those on which the effects do not act keep the friction they have.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from gms_flex_control.discrepancy.describe import listed
+from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.result import Discrepancy
-from gms_flex_control.discrepancy.thresholds import BETTER, NOT_CLEARLY
+from gms_flex_control.discrepancy.thresholds import BETTER, NOT_CLEARLY, PRACTICAL
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage, Term
 from gms_flex_control.effects.registry import find
@@ -21,7 +23,7 @@ from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.output import with_friction_of
 from gms_flex_control.params.key import SMALLEST
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import RobotParams, with_effects
 import numpy as np
 
 _ROUNDS = 3  # of identification at most: joints that act on each other need more than one
@@ -38,20 +40,25 @@ def with_friction_anew(search: Callable, recordings: Sequence, robot: RobotParam
     found = search(robot)
     if not {one.identity for one in recordings} <= set(robot.identified_from):
         return found
-    before, beside, failed = found.gap.before, (), set()
+    before, given, beside, failed = found.gap.before, robot, (), set()
     for _ in range(_ROUNDS):
         kept, others = _beside(found, robot, beside)
         others = [spec for spec in others if spec.key not in failed]
         if not others or not _leaves_something(found):
             break
         tried = (*kept, others[0])
+        joints = _acted_on(found, given, beside, tried)
+        if not joints:
+            failed.add(others[0].key)
+            continue
         say(f'friction anew, beside {listed(tried)}')
         try:
-            other = search(_identified(recordings, robot, tried, widened))
+            anew = _identified(recordings, given, tried, widened, joints)
+            other = search(anew)
         except GmsFlexError:  # what was found is an answer as well
             break
         if _is_better(other, found):
-            found, beside = other, tried
+            found, given, beside = other, anew, tried
         else:
             failed.add(others[0].key)
         del other  # two searches fill the memory
@@ -123,8 +130,23 @@ def _gain(name, floor, *gaps):
     return float(np.mean(np.log(left[1] / left[0])))
 
 
-def _identified(recordings, robot, beside, widened):
-    """Return a robot with friction as identified beside effects, and how well that is known."""
-    found = identify(recordings, replace(robot, effects=(*robot.effects, *beside)),
-                     options=Options(widened=widened))
+def _acted_on(found, robot, before, beside):
+    """
+    Return the joints (str) whose friction is another beside effects than beside those ``before``.
+
+    All, where links of a plane are predicted together.
+    """
+    if robot.arm.frames is None:
+        return robot.joints
+    likelihood = found.behind.likelihood
+    one, two = (likelihood.fitted(with_effects(robot, *specs), np.zeros(
+        len(likelihood.nuisances))) for specs in (before, beside))
+    acts = HeldOut(likelihood).action(one, two) >= PRACTICAL * likelihood.coulomb
+    return tuple(joint for joint, own in zip(robot.joints, acts, strict=True) if own)
+
+
+def _identified(recordings, robot, beside, widened, joints):
+    """Return a robot with friction of ``joints`` (str), and its sd, as found beside effects."""
+    found = identify(recordings, with_effects(robot, *beside),
+                     options=Options(widened=widened, joints=joints))
     return with_friction_of(robot, found)

@@ -11,6 +11,7 @@ directions.
 from collections.abc import Sequence
 
 from gms_flex_control import friction as gms
+from gms_flex_control.params.robot import FrictionParams
 from gms_flex_control.records import build
 from gms_flex_control.simulation.predictor import (
     ATTRACTION,
@@ -146,6 +147,16 @@ def friction_record(thetas: Sequence[np.ndarray]) -> np.record:
     blocks = table[BLOCKS:].reshape(2, MOST_BLOCKS, -1)
     return build(gms.constants_layout(table.shape[1], MOST_BLOCKS), **both,
                  stiffness=blocks[0].T, weight=blocks[1].T, attraction=table[ATTRACTION])
+
+
+def theta_of(friction: FrictionParams, joint: int) -> np.ndarray:
+    """Return the parameters of a joint as FrictionParams have them, MOST_BLOCKS blocks at most."""
+    acts, blocks = friction.weight[joint] > 0.0, np.zeros((2, MOST_BLOCKS))
+    own = np.stack([friction.stiffness[joint], friction.weight[joint]])[:, acts][:, :MOST_BLOCKS]
+    blocks[:, :own.shape[1]] = own
+    sides = [[getattr(side, name)[joint] for name in ('static', 'coulomb', 'velocity', 'viscous')]
+             for side in (friction.forward, friction.backward)]
+    return np.concatenate([*sides, friction.attraction[[joint]], *blocks])
 
 
 def yields_of(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

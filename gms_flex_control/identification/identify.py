@@ -32,6 +32,7 @@ class Options:
     blocks: tuple = CANDIDATES   # numbers of blocks to try
     force: bool = False          # go on in spite of faults in the data
     widened: float = 1.0         # standard deviations of the arm's parameters, times the usual
+    joints: tuple = ()           # whose friction is fitted, that of others is right; () all
 
 
 def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
@@ -81,7 +82,8 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
                                       'predicted; give this recording to be fitted as well')
         currents = _currents_of(recordings, robot, whole)
         in_space = model.arm.frames is not None
-        first = Problem(recordings, holdouts, model, whole=whole, alone=in_space)
+        first = Problem(recordings, holdouts, model, whole=whole, alone=in_space,
+                        only=options.joints)
         problem, fits = _fitted(first, options, say)
         if (model.arm.kind == 'planar' and model.n_joints > 1 and not whole
                 and problem.unexplained(fits).max() > NEXT_TO_NOTHING):

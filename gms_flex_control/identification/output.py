@@ -119,7 +119,9 @@ def uncertainty_of(identification: outcome.Identification) -> dict[tuple[str, st
 
 def with_friction_of(robot: RobotParams, identification: outcome.Identification) -> RobotParams:
     """Return a robot with the friction identified, known as well as its intervals say."""
-    known = {key: sd for key, sd in robot.uncertainty.items() if key[0] not in KNOWN_BY}
+    joints = {one.joint for one in identification.joints}
+    known = {key: sd for key, sd in robot.uncertainty.items()
+             if key[0] not in KNOWN_BY or key[1] not in joints}
     known |= {key: sd for key, sd in uncertainty_of(identification).items() if key[0] in KNOWN_BY}
     return replace(robot, friction=identification.robot.friction, uncertainty=known)
 

@@ -13,7 +13,7 @@ from gms_flex_control.identification.arm_differences import difference_estimates
 from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.arm_regression import fit_differences
 from gms_flex_control.identification.believed_arm import believed
-from gms_flex_control.identification.coordinates import friction_record, STATICS
+from gms_flex_control.identification.coordinates import friction_record, STATICS, theta_of
 from gms_flex_control.identification.criterion import choose_fit, left_of_torque, simple_theta
 from gms_flex_control.identification.friction_map import (
     friction_map,
@@ -58,11 +58,12 @@ class Problem:
     assumed_robot.believed_model; ``whole`` says that the arm is estimated as well. Otherwise
     friction is fitted ``beside`` a Believed arm, by default what the recordings show. Joints are
     taken ``alone``, each with the motion of the others as measured; those of a planar chain may
-    move together.
+    move together. Friction is fitted of joints ``only`` (str), () all; that of others is right.
     """
 
-    def __init__(self, given, holdouts, robot, *, whole=False, alone=True, beside=None):
-        self.whole, self._given = whole, (given, holdouts, robot)
+    def __init__(self, given, holdouts, robot, *, whole=False, alone=True, beside=None,
+                 only=()):
+        self.whole, self._given, self._only = whole, (given, holdouts, robot), only
         half = half_count(given[0][0].of_joints(robot.joints), robot)  # of readings as they are
         recordings, believed_robot = self._settle_arm(
             [assumed_robot.cleared(one.of_joints(robot.joints), robot)
@@ -74,7 +75,8 @@ class Problem:
         self._steps = np.array([resolution(segments, j, 2.0 * one) for j, one in enumerate(half)])
         self.maps = [friction_map(segments, self.robot.arm, j, period, one)
                      for j, one in enumerate(half)]
-        self.fitted = self._joints_to_fit()  # all that follows is of these joints
+        self._fit = self._joints_to_fit()  # all that follows is of ``only`` these joints
+        self.fitted = [j for j in self._fit if not only or robot.joints[j] in only]
         if len(self.fitted) < robot.n_joints:
             self.robot = assumed_robot.only_joints(
                 self.robot, [robot.joints[j] for j in self.fitted])
@@ -181,14 +183,15 @@ class Problem:
 
     def beside(self, fits) -> Self:
         """Return the Problem beside what they show of the arm with the friction of JointFits."""
-        thetas = {self.described.joints[j]: fit.theta
-                  for j, fit in zip(self.fitted, fits, strict=True)}
-        return Problem(*self._given, alone=self._alone, beside=believed(
+        joints, friction = self.described.joints, self.described.friction
+        thetas = {joints[j]: theta_of(friction, j) for j in self._fit} if self._only else {}
+        thetas |= {joints[j]: fit.theta for j, fit in zip(self.fitted, fits, strict=True)}
+        return Problem(*self._given, alone=self._alone, only=self._only, beside=believed(
             self._recordings, self.described, thetas, self._beside))
 
     def each_alone(self) -> Self:
         """Return the Problem in which the others move as measured, beside the same arm."""
-        return Problem(*self._given, beside=self._beside)
+        return Problem(*self._given, beside=self._beside, only=self._only)
 
     def words(self) -> str:
         """Return a sentence of what is other than described, '' where nothing is."""
