@@ -127,3 +127,15 @@ def test_a_start_in_the_best_hollow_gains_nothing():
                         np.random.default_rng(0), 8)
     assert found.ends[0] == pytest.approx(TRUTH, abs=1e-6)
     assert found.gain == pytest.approx(1.0)
+
+
+def test_a_multi_start_whose_predictions_all_run_away_still_returns_where_it_began():
+    """As of an axis too light for its sampling: torque then decides, not the innovations."""
+    class RunsAway(Rippled):
+        def evaluate(self, coordinates, free, sharpness, floor=None, *, derivatives=True):
+            one = super().evaluate(coordinates, free, sharpness, floor, derivatives=derivatives)
+            return replace(one, square=np.full(len(free), np.nan))
+
+    found = multi_start(RunsAway(), COORDINATES, (TRUTH,), PRIOR, COUNT,
+                        np.random.default_rng(0), 2)
+    np.testing.assert_array_equal(found.ends[0], TRUTH)

@@ -378,8 +378,9 @@ def _tried(objective, coordinates, free, prior, floor, steps, limit):
 
 
 def _cost_above(end, floor, prior):
-    """Return the cost of a Refined if blocks below ``floor`` [rad] counted as explained."""
-    return total_cost(replace(end.evaluation, floor=floor), end.free, prior)
+    """Return the cost of a Refined, blocks below ``floor`` [rad] explained; inf if it ran off."""
+    cost = total_cost(replace(end.evaluation, floor=floor), end.free, prior)
+    return cost if np.isfinite(cost) else np.inf
 
 
 def _in_order(coordinates, free):
