@@ -56,7 +56,9 @@ class Believed(NamedTuple):
         torque, time = recording.tau_motor.copy(), recording.time
         for j in np.flatnonzero(self.delay):
             known = np.flatnonzero(np.isfinite(torque[:, j]))
-            torque[known[1:], j] = later(torque[known[1:], j], time[known], self.delay[j])
+            begin = time[known[0]] - recording.period
+            torque[known, j] = later(torque[known, j], np.append(begin, time[known]),
+                                     self.delay[j])
         return replace(recording, tau_motor=torque, q_motor=recording.q_motor - self.zero)
 
     def words(self, robot: RobotParams) -> str:
@@ -241,7 +243,7 @@ class _WithinBelief(ArmRegression):
         for j in np.flatnonzero(by_motors):
             values, rest = self._judged(j)
             late[j] = values[DELAY][0]
-            left[j] = rms(rest) / rms(self._judged(j, without=DELAY)[1])
+            left[j] = rms(rest) / rms(self._judged(j, without=(DELAY,))[1])
         usual = any(by_motors) and np.exp(np.mean(np.log(left[by_motors]))) < _CUSTOM_SHOWN
         custom = [bool(usual) and RecordingDelay.is_custom((one,), self._period, self._commanded)
                   for one in late]
