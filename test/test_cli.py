@@ -87,8 +87,8 @@ def test_a_misspelt_verb_is_answered_with_the_nearest(typed, meant, capsys):
 
 
 def test_an_unknown_option_is_answered_with_the_nearest_and_the_usage_of_the_verb(capsys):
-    for words, said in ((['--hold-out', 'c'], "there is no option --hold-out; did you mean "
-                         "'--holdout'?"), (['-x'], 'unrecognized arguments: -x')):
+    near = "there is no option --hold-out; did you mean '--holdout'?"
+    for words, said in ((['--hold-out', 'c'], near), (['-x'], 'unrecognized arguments: -x')):
         with pytest.raises(SystemExit) as ended:
             tool.main(['identify', 'a', *words, '--out', 'd'])
         reported = capsys.readouterr().err

@@ -298,7 +298,7 @@ def held_torque(recording: Recording, time: np.ndarray, period: float) -> np.nda
 
 
 def resample_held(torque: np.ndarray, since: np.ndarray, time: np.ndarray,
-              period: float) -> np.ndarray:
+                  period: float) -> np.ndarray:
     """Return the mean from each of even times (T,) on of torques (K, n) held ``since`` (K,)."""
     until = np.append(since, max(since[-1], time[-1]) + 2.0 * period)
     return means_held(torque, until, np.append(time, time[-1] + period))
