@@ -98,7 +98,7 @@ def _parsed(parser, argv):
 
 
 def _known(parser, argv):
-    """Return the arguments, and words that are none; end at an option that no verb has."""
+    """Return the arguments, and words that are not; end at an option that the verb lacks."""
     verb = parser.verbs.get(argv[0])
     options = () if verb is None else tuple(verb._option_string_actions)
     for word in argv[1:argv.index('--') if '--' in argv else None]:

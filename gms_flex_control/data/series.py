@@ -107,7 +107,8 @@ class Series:
         self._chosen = joints, motors
         self._waiting = {topic: ([], []) for topic in topics}  # receive times, messages
         self._first, self._tables, self._places = None, (), None
-        self._strays = {}  # a table of each name that nobody claimed and a link may have
+        self._unclaimed = {}  # a table of each name that no joint has and a link may have
+        self._readers = []    # topic, type and table
 
     def collect(self, further) -> None:
         """Read the bag; messages of ``further`` topics are put into their lists."""
@@ -134,16 +135,16 @@ class Series:
         if self._first is None and self._waiting[self.topics.joint_states][1]:
             self._first = self._waiting[self.topics.joint_states][1][0]
             self._tables = self._make_tables()
+            self._readers = [*zip(self.topics, _TYPES, self._tables, strict=False), *(
+                (self.topics.joint_states, cdr.JOINT_STATE, table)
+                for table in self._unclaimed.values())]
         if self._first is None:
             return
         for topic, (times, messages) in self._waiting.items():
             if len(messages) >= least:
-                for name, type_name, table in zip(self.topics, _TYPES, self._tables,
-                                                  strict=False):
+                for name, type_name, table in self._readers:
                     if name == topic and self._has_type(topic, type_name):
                         table.add(times, messages)
-                        for stray in self._strays.values() if name == self.topics[0] else ():
-                            stray.add(times, messages)
                 times.clear()
                 messages.clear()
 
@@ -154,7 +155,7 @@ class Series:
         except BagError:  # raised again once the bag is known to be sound
             return ()
         n, links = len(joints), link_names(self.require_names())
-        self._strays = {name: JointTable((name,), ('position',)) for name in self._unclaimed()}
+        self._unclaimed = {name: JointTable((name,), ('position',)) for name in self._not_named()}
         self._places = [links.index(name) for name in joints] if set(joints) < set(links) else None
         widest = n if self._places is None else len(links)
 
@@ -218,12 +219,14 @@ class Series:
         return {joint: motor for joint, motor in zip(*self.resolved(), strict=True)
                 if joint not in names and motor in names}
 
-    def _unclaimed(self):
+    def _not_named(self):
         """Return names that may be those of links without an angle, none if all have one."""
+        if not self._lone():
+            return []
         names, (joints, motors) = self.require_names(), self.resolved()
         others = {*names} - {*joints, *motors}
-        return [name for name in names if self._lone() and name in others
-                and not name.endswith(MOTOR_SUFFIX) and name + MOTOR_SUFFIX not in others]
+        return [name for name in names if name in others and not name.endswith(MOTOR_SUFFIX)
+                and name + MOTOR_SUFFIX not in others]
 
     def refuse_renamed(self, stamps, q_motor) -> None:
         """
@@ -233,7 +236,7 @@ class Series:
         a gripper does not, and further joints on the same course are more.
         """
         lone, joints, along = self._lone(), self.resolved()[0], {}
-        for name, table in self._strays.items():
+        for name, table in self._unclaimed.items():
             times, angles = table.take('stamps'), table.take('position')[:, 0]
             _, here, there = np.intersect1d(stamps, times, return_indices=True)
             along[name] = [joint for joint in lone if _moves_along(

@@ -31,7 +31,7 @@ import numpy as np
 _OPEN = 'not identifiable', 'doubtful'  # standings of estimates
 _DIRECTIONS = 'forward', 'backward'  # rows of friction parameters
 _SOFTER = tuple(1.25 ** k for k in range(16))  # parts of the quickest acceleration that are tried
-_DETERMINED = 0.3  # relative standard deviation, more of which hardly tells a value from none
+_DETERMINED = 0.3  # relative standard deviation of a parameter that a motion determines
 _NOTHING_KNOWN = 1e-4  # prior information, relative, about what was not identified
 # kinds of relative changes that stand for a parameter, by the last part of its name
 _KINDS = {'static': ('static',), 'coulomb': ('level',), 'velocity': ('velocity',),

@@ -154,7 +154,7 @@ def _misrecorded(robot):
     return [spec for spec in robot.effects if find(spec.name).torque_delay]
 
 
-def _later(torque, period, delay):
+def _acting_later(torque, period, delay):
     """Return torques (T, n) held over samples as means over these if they act later [s]."""
     return later(torque, period * np.arange(len(torque) + 1), delay)
 
@@ -168,7 +168,8 @@ def acting(motions, robot) -> tuple:
     wrong = _misrecorded(robot)
     for spec in wrong:
         motions = [motion.with_torque((spec.name, *spec.values), partial(
-            _later, period=motion.samples.period, delay=find(spec.name).torque_delay(spec.values)))
+            _acting_later, period=motion.samples.period,
+            delay=find(spec.name).torque_delay(spec.values)))
             for motion in motions]
     return motions, replace(robot, effects=tuple(
         spec for spec in robot.effects if spec not in wrong)) if wrong else robot
@@ -197,8 +198,8 @@ def as_recorded(run, motion, acted, robot) -> Motion:
     def back(held):
         beside = held - acted.samples.command
         for spec in reversed(wrong):
-            beside = _later(beside, motion.samples.period,
-                            -find(spec.name).torque_delay(spec.values))
+            beside = _acting_later(beside, motion.samples.period,
+                                   -find(spec.name).torque_delay(spec.values))
         return motion.samples.command + beside
     return run.with_torque('as recorded', back) if wrong else run
 

@@ -162,7 +162,7 @@ def rows_that_agree(recordings: Sequence, drive: Callable, joint: int, turns: bo
     """
     rows = rows_of(recordings, drive, joint)
     inertia, error = _any_inertia(rows, turns)
-    while rows.wider < _WIDEST:
+    while rows.wider < _WIDEST and np.isfinite(inertia):
         wider = rows_of(recordings, drive, joint, 2 * rows.wider)
         other, other_error = _any_inertia(wider, turns)
         if not other - inertia > max(_SURELY * np.hypot(error, other_error), _LARGER * inertia):

@@ -153,11 +153,8 @@ def segments_of(recording: Recording, robot: RobotParams, sides: Sequence[str], 
     beside, pieces = np.pad(gap, 1), []
     for rows in np.split(np.arange(len(stamps)), cuts):
         if np.ptp(recording.time[rows]) + period >= SHORTEST:
-            piece = _segment(recording, robot, sides, phases, rows, period, even)
-            # a gap cuts a quick motion short, and filters see but one side of what is beside it
-            piece.tested[:piece.window * beside[rows[0]]] = False
-            piece.tested[len(piece.tested) - piece.window * beside[rows[-1] + 1]:] = False
-            pieces.append(piece)
+            pieces.append(_segment(recording, robot, sides, phases, rows, period, even,
+                                   (beside[rows[0]], beside[rows[-1] + 1])))
     if not pieces:
         raise IdentificationError(
             f'{recording.source}: no piece of {SHORTEST:g} s without a gap; record longer')
@@ -174,7 +171,8 @@ def _handed_over(phases, recording):
                         np.arange(len(since)) - 0.5)[0] > 0
 
 
-def _segment(recording, robot, sides, phases, rows, period, even):
+def _segment(recording, robot, sides, phases, rows, period, even, cut):
+    """Return the Segment of some rows, whose begin and end a gap has ``cut``, bool (2,)."""
     time = recording.time[rows]
     slots = np.round((time - time[0]) / period).astype(int)
     grid = time[0] + period * np.arange(slots[-1] + 1)
@@ -201,8 +199,13 @@ def _segment(recording, robot, sides, phases, rows, period, even):
     smooth = [analysis.derivatives(whole[:, j], period, window)
               for j, window in enumerate(windows)]
     tested, phase = _tested(phases, recording, grid, robot.joints)
-    for rows in (slice(round(SETTLE_TIME / period)), slice(-max(windows), None)):
-        tested[rows, computed] = False  # a link sets off on its spring, which filters hide
+    # a gap cuts a quick motion short, and a computed link sets off on its spring: filters, which
+    # see but one side of what is at an end, hide both
+    begin, end = slice(max(windows)), slice(-max(windows), None)
+    tested[begin] &= not cut[0]
+    tested[end] &= not cut[1]
+    for part in (slice(round(SETTLE_TIME / period)), end):
+        tested[part, computed] = False
     return Segment(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
                    factor=factor, tested=tested & known, phase=phase, source=recording.source,
