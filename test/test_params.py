@@ -193,3 +193,4 @@ def test_a_table_keeps_its_columns_in_other_units():
             for line in text.splitlines()[2:]}
     assert len(ends) == 1
     assert in_currents('3 N m, or 5 mN m of friction') == '3 A, or 5 mA of friction'
+    assert in_currents('torque [N], N = 4 blocks') == 'torque [A], N = 4 blocks'

@@ -32,7 +32,7 @@ _OF_LINEAR = (  # but the phase of a wave is an angle, and an angular frequency 
               (r'\brad\b', 'm'))
 # of axes whose efforts are currents of unknown torque constant, after these
 _OF_CURRENT = ((r'\bkg m\^2', 'A s^2/rad'), (r'\bkg\b', 'A s^2/m'), (r'\bmN( m)?\b', 'mA'),
-               (r'\bkN( m)?\b', 'kA'), (r'\bN( m)?\b', 'A'))
+               (r'\bkN( m)?\b', 'kA'), (r'\bN( m)?\b(?! =)', 'A'))
 POINT = 1e-9      # next to none: of a mass [kg], of an inertia [kg m^2], and of one per mass [m^2]
 _ROUNDING = 1e-3  # of a principal moment of inertia: files round their numbers
 _CAD = 0.1        # of it: files of makers violate the triangle inequality by so much
