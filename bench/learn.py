@@ -21,7 +21,7 @@ from gms_flex_control.discrepancy import motion as measured
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.gap import HORIZON, STRIDE, torque_rms
 from gms_flex_control.discrepancy.learning import learn
-from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.likelihood import Likelihood, Residuals
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.result import UNEXPLAINED
 from gms_flex_control.discrepancy.samples import samples_of
@@ -129,8 +129,7 @@ def healthy_torque(item):
                      healthy=True)
     likelihood = Likelihood([measured.motion_of(case.recording, case.nominal)], case.nominal)
     model, _ = retuned(likelihood, case.nominal, np.zeros(len(likelihood.nuisances)), PLAUSIBLE)
-    held = Likelihood([measured.motion_of(case.held_out, case.nominal)], case.nominal,
-                      held_out=True)
+    held = Residuals([measured.motion_of(case.held_out, case.nominal)], case.nominal)
     return torque_rms(held, model)
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from gms_flex_control.data.signal_analysis import runs
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.gap import all_known, FARTHEST, free_rms, free_runs, torque_rms
-from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.likelihood import Residuals
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.result import Discrepancy
@@ -44,8 +44,8 @@ def compare(result, models, holdout=()) -> list:
     Torque and free run are measured on ``holdout`` (Recordings), default those of the search.
     """
     likelihood = result.behind.likelihood
-    measured = Likelihood([motion_of(recording, likelihood.robot) for recording in holdout],
-                          likelihood.robot, held_out=True) if holdout else likelihood
+    measured = Residuals([motion_of(recording, likelihood.robot) for recording in holdout],
+                         likelihood.robot) if holdout else likelihood
     zero, compared = np.zeros(len(likelihood.nuisances)), []
     for name, robot in models:
         likelihood.encoder_noise.forget()  # so that no model is measured by what came before it

@@ -14,7 +14,7 @@ from gms_flex_control.discrepancy import fitting
 from gms_flex_control.discrepancy.evidence import State, state_of
 from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.learned_words import described, words_of
-from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.likelihood import Likelihood, Residuals
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
 from gms_flex_control.discrepancy.null_simulation import is_followed
@@ -90,8 +90,7 @@ def _begun(result, holdout, say):
     likelihood, written = result.behind.likelihood, result.behind.written
 
     def measured(robot):
-        return Likelihood([motion_of(one, robot) for one in holdout], robot,
-                          held_out=True) if holdout else None
+        return Residuals([motion_of(one, robot) for one in holdout], robot) if holdout else None
     learning = _Learning(likelihood, measured(likelihood.robot), result.behind.before, say)
     known = {one.key for one in result.stand_ins}
     if known:

@@ -1,6 +1,6 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
-How likely recordings are under a model of their robot.
+What models leave of recordings, held out or not, and how likely recordings are under a model.
 
 Whitened residuals are normal where nothing is missing. The noise level of a group is not known,
 only that it is not below that of null simulations; the most likely one is used. So what drives
@@ -32,6 +32,7 @@ from gms_flex_control.discrepancy.null_simulation import (
     NUISANCE_STEP,
     null_readings,
     null_runs,
+    stepped,
     with_torque_noise,
 )
 from gms_flex_control.discrepancy.residuals import unexplained
@@ -77,9 +78,9 @@ class Fitted:
         return self.sums.cost
 
 
-class Likelihood:
+class Residuals:
     """
-    The likelihood of models along recordings, and its derivatives.
+    What models leave unexplained of recordings, whitened by null simulations.
 
     Parameters
     ----------
@@ -89,30 +90,19 @@ class Likelihood:
         As believed, effects that are known included.
     seed : int
         Of the null simulations.
-    held_out : bool
-        Whether models are fitted to other recordings: what is particular about these ones is
-        not known.
-    cautious : bool
-        Whether derivatives count only where they are not mostly encoder noise, as those by the
-        inertia of a joint that stands: else the noise of two null simulations may steer a fit.
+    particular : tuple of OfRecording
+        Nuisance parameters of the recordings, beside those of the robot.
 
     """
 
-    def __init__(self, motions, robot, seed=0, held_out=False, cautious=False):
+    def __init__(self, motions, robot, seed=0, particular=()):
         self.motions, self.robot, self.seed = tuple(motions), robot, seed
         self._own = plant.constants_of(replace(robot, effects=()))
-        self.nuisances = nuisances_of(robot) + (
-            () if held_out else of_recordings(self.motions, robot))
+        self.nuisances = nuisances_of(robot) + particular
         self.pool = ThreadPoolExecutor(  # models that run away warn of nothing in its threads
             os.cpu_count() or 1, initializer=partial(np.seterr, all='ignore'))
-        self._scales, self._held_out = scales_of(self.motions, robot), held_out
-        self._cautious = cautious
+        self._scales = scales_of(self.motions, robot)
         self._simulate(robot, np.zeros(len(self.nuisances)))
-
-    @cached_property
-    def sd(self) -> np.ndarray:
-        """Return standard deviations of the nuisance parameters by their priors (P,)."""
-        return np.array([one.sd for one in self.nuisances])
 
     @property
     def groups(self) -> Groups:
@@ -125,11 +115,6 @@ class Likelihood:
         return self.whitened.whitenings
 
     @property
-    def known(self) -> int:
-        """Return how many effects of any model are no discovery."""
-        return len(self.robot.effects)
-
-    @property
     def coulomb(self) -> np.ndarray:
         """Return Coulomb friction (n,), the mean of both directions [N m]."""
         friction = self.robot.friction
@@ -140,12 +125,36 @@ class Likelihood:
         """Return the most that is called noise behind the low-pass, by equation (2 n,) [N m]."""
         return LARGEST_NOISE * np.tile(self.coulomb, 2)
 
-    # --- noise -------------------------------------------------------------------------------
+    @property
+    def unseen(self) -> set[str]:
+        """Return the joints whose links have no encoder, set of str."""
+        return {motion.samples.joints[link.joint] for motion in self.motions
+                for link in motion.samples.unseen}
+
+    @property
+    def caution(self) -> float:
+        """Return times as many standard errors as usual that held-out data must show."""
+        return UNSEEN if self.unseen else 1.0
+
+    def scales_of(self, joint) -> Scales:
+        """Return the Scales of a joint, those of the first for the whole arm."""
+        joints = self.robot.joints
+        return self._scales[joints.index(joint) if joint in joints else 0]
+
+    def level_of(self, joint) -> float:
+        """Return Coulomb friction of a joint, the least of all for the whole arm [N m]."""
+        joints = self.robot.joints
+        return float(self.coulomb[joints.index(joint)] if joint in joints else self.coulomb.min())
+
+    # --- null simulations --------------------------------------------------------------------
 
     def _simulate(self, robot, x):
         """Make the null simulations of a model, without torque noise, and whiten by them."""
-        self.null = null_runs(self, robot, x, _NULL_RUNS, not self._held_out)
+        self.null = self._null_runs(robot, x)
         self._whiten(np.zeros((len(self.motions), 2 * robot.n_joints)))
+
+    def _null_runs(self, robot, x):
+        return null_runs(self, robot, x, _NULL_RUNS)
 
     def null_simulations(self, robot, x) -> Callable:
         """
@@ -158,18 +167,6 @@ class Likelihood:
         return lambda generators: [
             as_recorded(read(rng), motion, other, robot) for read, rng, motion, other in zip(
                 readings, generators, self.motions, acted, strict=True)]
-
-    def simulated_as(self, model) -> Self:
-        """Return the Likelihood whose null simulations are those of a Fitted, without noise."""
-        other = copy(self)
-        other._simulate(model.robot, model.x)
-        return other
-
-    def with_noise(self, noise) -> Self:
-        """Return the Likelihood with white torque noise (M, 2 n) in its null simulations."""
-        other = copy(self)
-        other._whiten(noise)
-        return other
 
     def _whiten(self, noise):
         """Whiten by the null simulations, with torque noise (M, 2 n) in them."""
@@ -185,14 +182,104 @@ class Likelihood:
         # recording, whose rows scatter by that of this mean as well
         self.usual, count = clean.mean(axis=0), len(clean)
         self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
-        if not self._held_out:
-            misread = with_torque_noise(self, self.null)
-            self.pair = misread.pair
-            self.encoder_noise = EncoderNoise(
-                self, self.null.robot, self.null.x,
-                [[self.whitened.rows_of_spectra(run) for run in pair]
-                 for pair in misread.by_step],
-                self._cautious)
+
+    # --- torques -----------------------------------------------------------------------------
+
+    def constants(self, robot, x) -> np.record:
+        """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
+        mine = x[:len(self.nuisances)]  # recordings held out have none of their own
+        return tuned(plant.constants_of(robot), self.nuisances, mine, self._own)
+
+    def acted(self, motions, robot, x) -> tuple:
+        """Return motions with the torques that acted, and the kernels' record of their robot."""
+        motions, own = acting(motions, robot)
+        return motions, self.constants(own, x)
+
+    def recorded(self, motions, x) -> list:
+        """Return motions cleared of what nuisance parameters (P,) make particular about each."""
+        particular = [(one, float(value)) for one, value in zip(self.nuisances, x, strict=False)
+                      if value != 0.0 and isinstance(one, OfRecording)]
+        own = [tuple(pair for pair in particular if pair[0].recording == m)
+               for m in range(len(motions))]
+        return [recorded(motion, values) if values else motion
+                for motion, values in zip(motions, own, strict=True)]
+
+    def as_robot(self, x) -> np.ndarray:
+        """Return nuisance parameters (P,), 0 where they are those of recordings."""
+        return np.array([0.0 if isinstance(one, OfRecording) else value
+                         for one, value in zip(self.nuisances, x, strict=False)])
+
+    def residuals(self, motions, robot, x) -> list:
+        """Return residual torques per unit of commanded torque, (S, 2 n) of each motion [N m]."""
+        scale = np.ones(2 * robot.n_joints)
+        for spec in robot.effects:
+            factor = find(spec.name).torque_scale(spec.values, self._scales[0].supply)
+            if factor != 1.0:
+                j = robot.joints.index(spec.joint)
+                driven = not robot.arm.rigid[j] and spec.joint not in self.unseen
+                scale[j + robot.n_joints * driven] *= np.clip(factor, _LEAST_SCALE, _MOST_SCALE)
+        return [left / scale for left in self.unexplained(self.recorded(motions, x), robot, x)]
+
+    def unexplained(self, motions, robot, x) -> list:
+        """Return residual torques as `residuals`, of motions as they are, (S, 2 n) each [N m]."""
+        acted, constants = self.acted(motions, robot, x)
+        return [unexplained(motion, constants) for motion in acted]
+
+    def torque(self, model) -> list:
+        """Return the residual torques of a model behind the low-pass, (S', 2 n) each [N m]."""
+        return self.whitened.behind_low_pass(self.residuals(self.motions, model.robot, model.x))
+
+
+class Likelihood(Residuals):
+    """
+    The likelihood of models along recordings, and its derivatives.
+
+    Nuisance parameters are those of the robot and of the recordings. ``cautious``: derivatives
+    count only where they are not mostly encoder noise, as those by the inertia of a joint that
+    stands: else the noise of two null simulations may steer a fit. Other parameters are those of
+    Residuals.
+    """
+
+    def __init__(self, motions, robot, seed=0, cautious=False):
+        self._cautious = cautious
+        super().__init__(motions, robot, seed, of_recordings(motions, robot))
+
+    @cached_property
+    def sd(self) -> np.ndarray:
+        """Return standard deviations of the nuisance parameters by their priors (P,)."""
+        return np.array([one.sd for one in self.nuisances])
+
+    @property
+    def known(self) -> int:
+        """Return how many effects of any model are no discovery."""
+        return len(self.robot.effects)
+
+    # --- noise -------------------------------------------------------------------------------
+
+    def _null_runs(self, robot, x):
+        return stepped(self, super()._null_runs(robot, x))
+
+    def _whiten(self, noise):
+        """Whiten by the null simulations, with torque noise (M, 2 n) in them."""
+        super()._whiten(noise)
+        misread = with_torque_noise(self, self.null)
+        self.pair = misread.pair
+        self.encoder_noise = EncoderNoise(
+            self, self.null.robot, self.null.x,
+            [[self.whitened.rows_of_spectra(run) for run in pair] for pair in misread.by_step],
+            self._cautious)
+
+    def simulated_as(self, model) -> Self:
+        """Return the Likelihood whose null simulations are those of a Fitted, without noise."""
+        other = copy(self)
+        other._simulate(model.robot, model.x)
+        return other
+
+    def with_noise(self, noise) -> Self:
+        """Return the Likelihood with white torque noise (M, 2 n) in its null simulations."""
+        other = copy(self)
+        other._whiten(noise)
+        return other
 
     def learn_noise(self, guesses) -> set[tuple[str, str]]:
         """
@@ -266,30 +353,6 @@ class Likelihood:
         return 0.5 * model.sums.cleared[self.groups.group] * (
             noise.along(model.robot, model.x) ** 2 - noise.own ** 2)
 
-    def constants(self, robot, x) -> np.record:
-        """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
-        mine = x[:len(self.nuisances)]  # recordings held out have none of their own
-        return tuned(plant.constants_of(robot), self.nuisances, mine, self._own)
-
-    def acted(self, motions, robot, x) -> tuple:
-        """Return motions with the torques that acted, and the kernels' record of their robot."""
-        motions, own = acting(motions, robot)
-        return motions, self.constants(own, x)
-
-    def recorded(self, motions, x) -> list:
-        """Return motions cleared of what nuisance parameters (P,) make particular about each."""
-        particular = [(one, float(value)) for one, value in zip(self.nuisances, x, strict=False)
-                      if value != 0.0 and isinstance(one, OfRecording)]
-        own = [tuple(pair for pair in particular if pair[0].recording == m)
-               for m in range(len(motions))]
-        return [recorded(motion, values) if values else motion
-                for motion, values in zip(motions, own, strict=True)]
-
-    def as_robot(self, x) -> np.ndarray:
-        """Return nuisance parameters (P,), 0 where they are those of recordings."""
-        return np.array([0.0 if isinstance(one, OfRecording) else value
-                         for one, value in zip(self.nuisances, x, strict=False)])
-
     def change(self, begun, robot, x) -> np.ndarray:
         """Return the `rows` of a model (R,) less those of a Fitted."""
         return self.whitened.rows_of([one - other for one, other in zip(
@@ -298,22 +361,6 @@ class Likelihood:
     def of_pair(self, robot, x) -> list:
         """Return whitened residuals (R,) of a model along two null simulations of one motion."""
         return [self.whitened.rows_of(self.residuals(run, robot, x)) for run in self.pair]
-
-    def residuals(self, motions, robot, x) -> list:
-        """Return residual torques per unit of commanded torque, (S, 2 n) of each motion [N m]."""
-        scale = np.ones(2 * robot.n_joints)
-        for spec in robot.effects:
-            factor = find(spec.name).torque_scale(spec.values, self._scales[0].supply)
-            if factor != 1.0:
-                j = robot.joints.index(spec.joint)
-                driven = not robot.arm.rigid[j] and spec.joint not in self.unseen
-                scale[j + robot.n_joints * driven] *= np.clip(factor, _LEAST_SCALE, _MOST_SCALE)
-        return [left / scale for left in self.unexplained(self.recorded(motions, x), robot, x)]
-
-    def unexplained(self, motions, robot, x) -> list:
-        """Return residual torques as `residuals`, of motions as they are, (S, 2 n) each [N m]."""
-        acted, constants = self.acted(motions, robot, x)
-        return [unexplained(motion, constants) for motion in acted]
 
     def fitted(self, robot, x) -> Fitted:
         """Return a model as it is, a Fitted."""
@@ -342,30 +389,3 @@ class Likelihood:
             at[i] += NUISANCE_STEP
             return self.change(model, model.robot, at) / NUISANCE_STEP
         return self.each(column, range(len(model.x))).reshape(len(model.x), len(model.rows))
-
-    # --- torques -----------------------------------------------------------------------------
-
-    def torque(self, model) -> list:
-        """Return the residual torques of a model behind the low-pass, (S', 2 n) each [N m]."""
-        return self.whitened.behind_low_pass(self.residuals(self.motions, model.robot, model.x))
-
-    def scales_of(self, joint) -> Scales:
-        """Return the Scales of a joint, those of the first for the whole arm."""
-        joints = self.robot.joints
-        return self._scales[joints.index(joint) if joint in joints else 0]
-
-    @property
-    def unseen(self) -> set[str]:
-        """Return the joints whose links have no encoder, set of str."""
-        return {motion.samples.joints[link.joint] for motion in self.motions
-                for link in motion.samples.unseen}
-
-    @property
-    def caution(self) -> float:
-        """Return times as many standard errors as usual that held-out data must show."""
-        return UNSEEN if self.unseen else 1.0
-
-    def level_of(self, joint) -> float:
-        """Return Coulomb friction of a joint, the least of all for the whole arm [N m]."""
-        joints = self.robot.joints
-        return float(self.coulomb[joints.index(joint)] if joint in joints else self.coulomb.min())

@@ -160,11 +160,11 @@ class NullRuns(NamedTuple):
     clean: tuple        # of runs, each a list of residual torques (S, 2 n) of a recording [N m]
     pair: tuple         # of two runs, each a list of Motion
     bands: list         # of Band, one for each recording
-    by_step: list       # spectra of the pair, each nuisance `NUISANCE_STEP` off, then as it is
+    by_step: list = ()  # spectra of the pair, see `stepped`
 
 
-def null_runs(likelihood, robot, x, count, steps) -> NullRuns:
-    """Return ``count`` null simulations of a model; ``steps``: also as nuisances are stepped."""
+def null_runs(likelihood, robot, x, count) -> NullRuns:
+    """Return ``count`` null simulations of a model."""
     simulated = likelihood.null_simulations(robot, x)
 
     def run(k):
@@ -172,19 +172,18 @@ def null_runs(likelihood, robot, x, count, steps) -> NullRuns:
         return made if k < 2 else None, likelihood.unexplained(made, robot, x)
     runs, clean = zip(*likelihood.pool.map(run, range(count)), strict=True)
     bands = [Band(len(one.time), one.period, one.known) for one in likelihood.motions]
-    null = NullRuns(robot, x, clean, runs[:2], bands, [])
-    return null._replace(by_step=_by_step(likelihood, null)) if steps else null
+    return NullRuns(robot, x, clean, runs[:2], bands)
 
 
-def _by_step(likelihood, null):
-    """Return the spectra of the pair of null simulations by step of each nuisance parameter."""
-    def stepped(step):
+def stepped(likelihood, null) -> NullRuns:
+    """Return NullRuns with its pair's spectra, each nuisance `NUISANCE_STEP` off, then none."""
+    def spectra(step):
         return [[band.spectra(residual) for band, residual in zip(
             null.bands, likelihood.residuals(run, null.robot, null.x + step), strict=True)]
             for run in null.pair]
     count = len(null.x)
-    return list(likelihood.pool.map(
-        stepped, (*(NUISANCE_STEP * np.eye(count)), np.zeros(count))))
+    return null._replace(by_step=list(likelihood.pool.map(
+        spectra, (*(NUISANCE_STEP * np.eye(count)), np.zeros(count)))))
 
 
 def with_torque_noise(likelihood, null) -> NullRuns:
@@ -204,9 +203,8 @@ def with_torque_noise(likelihood, null) -> NullRuns:
         motion = null.pair[k][m]
         drawn = size[m] * rng.standard_normal(motion.samples.command.shape)
         return motion.with_torque(object(), lambda command: command + drawn)
-    null = null._replace(pair=[[noisy(k, m) for m in range(len(likelihood.motions))]
-                               for k in range(len(null.pair))])
-    return null._replace(by_step=_by_step(likelihood, null))
+    return stepped(likelihood, null._replace(pair=[
+        [noisy(k, m) for m in range(len(likelihood.motions))] for k in range(len(null.pair))]))
 
 
 # --- what encoder noise adds --------------------------------------------------------------------

@@ -25,7 +25,7 @@ from gms_flex_control.discrepancy.findings import (
 from gms_flex_control.discrepancy.fitting import is_within, with_white_noise
 from gms_flex_control.discrepancy.friction_anew import with_friction_anew
 from gms_flex_control.discrepancy.gap import HeldOut
-from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.likelihood import Likelihood, Residuals
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
 from gms_flex_control.discrepancy.null_simulation import is_followed
@@ -109,8 +109,7 @@ def _compared(motions, holdout, robot, options, say):
     searched = found
     functions = FreeFunctions(likelihood)
     found, worths, free, whole = judged(likelihood, found, functions)
-    held_out = HeldOut(likelihood, Likelihood(holdout, robot, options.seed, held_out=True)
-                       if holdout else None)
+    held_out = HeldOut(likelihood, Residuals(holdout, robot, options.seed) if holdout else None)
     of_judged = found.best
     found, worths = predictive(likelihood, found, worths, held_out)
     if found.best is not of_judged:
