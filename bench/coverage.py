@@ -27,7 +27,7 @@ from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import write_text
-from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import (
@@ -182,7 +182,7 @@ def identified(case):
         believed = replace(robot, friction=scaled_friction(robot.friction, 0.8))
         made = noisy(recorded(case.motion, robot, believed, case.seed),
                      case.noise * float(robot.friction.forward.static[0]), case.seed)
-    return robot, identify([made], believed, options=Options(blocks=BLOCKS[case.blocks]))
+    return robot, identify([made], believed, options=IdentifyOptions(blocks=BLOCKS[case.blocks]))
 
 
 def noisy(made, level, seed):

@@ -26,7 +26,7 @@ from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.result import UNEXPLAINED
 from gms_flex_control.discrepancy.samples import samples_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.file_io import write_text
 from gms_flex_control.simulation import plant
@@ -143,7 +143,7 @@ def of_machine(item):
     fitted, held = ([machine.recording(piece) for piece in pieces]
                     for pieces in (split.fitted, split.held_out))
     robot, _ = identified(machine, fitted)
-    found = find_discrepancy(fitted, robot, Options(force=True), holdout=held)
+    found = find_discrepancy(fitted, robot, SearchOptions(force=True), holdout=held)
     begun = time.monotonic()
     result = learn(found, holdout=held)
     rows = {'as found': (model_rms(held, found.robot, BAND), *free_error(held, found.robot), 0.0),

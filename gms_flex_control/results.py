@@ -32,7 +32,7 @@ from gms_flex_control.reports.recordings_page import error_figure
 from gms_flex_control.tuning import study
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands, Proposal, propose
-from gms_flex_control.tuning.tracking import Run, Table4, table4
+from gms_flex_control.tuning.tracking import Table4, table4, TrackingRun
 from gms_flex_control.tuning.trial import Trial, try_motions
 from matplotlib.figure import Figure
 import numpy as np
@@ -133,7 +133,7 @@ class DiscrepancyResult(Result, Discrepancy):
 class TrackingResult(Result):
     """Tracking errors with and without compensation, see `analyse`."""
 
-    runs: tuple[Run, ...]
+    runs: tuple[TrackingRun, ...]
     table: Table4
 
     def summary(self) -> str:
@@ -238,7 +238,7 @@ class ComparisonResult(Result):
 
 def identify(recordings: Sequence[Recorded], robot: RobotParams, *,
              holdouts: Sequence[Recorded] = (),
-             options: identification.Options | None = None,
+             options: identification.IdentifyOptions | None = None,
              say: Callable[[str], object] | None = None) -> IdentificationResult:
     """
     Return the friction of a robot from recordings, with what its experiment did where known.
@@ -252,7 +252,7 @@ def identify(recordings: Sequence[Recorded], robot: RobotParams, *,
 
 
 def find_discrepancy(recordings: Sequence[Recording], robot: RobotParams,
-                     options: workflow.Options | None = None, *,
+                     options: workflow.SearchOptions | None = None, *,
                      holdout: Sequence[Recording] = (),
                      say: Callable[[str], object] = lambda text: None) -> DiscrepancyResult:
     """
@@ -267,7 +267,7 @@ def find_discrepancy(recordings: Sequence[Recording], robot: RobotParams,
 
 def analyse(recordings: Mapping[tuple[str, str], Recording]) -> TrackingResult:
     """Return tracking errors of recordings by (trajectory, compensation), such as 'none'."""
-    runs = tuple(Run(*label, one) for label, one in recordings.items())
+    runs = tuple(TrackingRun(*label, one) for label, one in recordings.items())
     return TrackingResult(runs, table4(runs))
 
 

@@ -8,14 +8,14 @@ from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.friction import steady_friction
 from gms_flex_control.identification.outcome import (
-    Candidate,
+    BlockCandidate,
     Estimate,
     FrictionMap,
-    HeldOut,
+    HeldOutErrors,
     Identification,
     Interval,
     JointResult,
-    Loop,
+    PreslidingLoop,
     Trace,
 )
 from gms_flex_control.params.key import of_joints
@@ -29,9 +29,9 @@ UNITS = {'static': 'N m', 'coulomb': 'N m', 'velocity': 'rad/s', 'viscous': 'N m
 FLAGGED = {'friction.joint2.stiffness[0]': (
     ('not identifiable', 'at bound'), 'slips only after 0.149 rad; presliding with larger '
     'amplitude would show it')}
-ERRORS = HeldOut(torque_rms=0.004, relative=0.05, coulomb_viscous=0.12, free_run_rms=1.1e-3,
-                 free_run_coulomb_viscous=6.4e-3, horizon=0.5, innovation_rms=5e-5,
-                 noise_floor=0.001, repeatability=0.0035)
+ERRORS = HeldOutErrors(torque_rms=0.004, relative=0.05, coulomb_viscous=0.12, free_run_rms=1.1e-3,
+                       free_run_coulomb_viscous=6.4e-3, horizon=0.5, innovation_rms=5e-5,
+                       noise_floor=0.001, repeatability=0.0035)
 
 
 def identification(joints=2, **changes):
@@ -72,8 +72,8 @@ def joint_result(robot, truth, j):
         steady_velocity=velocity, steady_torque=steady(robot, velocity, j),
         loops=tuple(loop(truth, j, share) for share in (0.4, 0.8)),
         traces=(trace(robot, truth, j, rng),), held_out=ERRORS, warnings=(),
-        candidates=(Candidate(2, 1.31, 0.05, False), Candidate(4, 1.02, 0.01, True),
-                    Candidate(6, 1.015, 0.0, False)))
+        candidates=(BlockCandidate(2, 1.31, 0.05, False), BlockCandidate(4, 1.02, 0.01, True),
+                    BlockCandidate(6, 1.015, 0.0, False)))
 
 
 def estimates(robot, j):
@@ -113,7 +113,7 @@ def loop(truth, j, share):
     way = np.sign(np.gradient(x))
     torque = way * (2.0 * presliding(truth, j, 0.5 * (reach + way * x)) - presliding(
         truth, j, np.array([reach])))
-    return Loop(x + 1e-5 * np.sin(np.arange(400)), torque, 1.03 * x, f'{share:g} F_s')
+    return PreslidingLoop(x + 1e-5 * np.sin(np.arange(400)), torque, 1.03 * x, f'{share:g} F_s')
 
 
 def trace(robot, truth, j, rng):

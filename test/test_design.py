@@ -34,8 +34,8 @@ from gms_flex_control.design.separation import (
     keeps,
     loaded,
     log_odds,
-    Loop,
     loop_of,
+    PlannedLoop,
     predicted,
     Prediction,
     resolving,
@@ -433,8 +433,8 @@ def test_information_about_what_is_missing_has_all_else_eliminated():
 
 
 def test_what_a_motion_hardly_determines_is_left_open_in_words():
-    so_far, best = (determination.Worth(Candidate('strokes', 'strokes of both', {}), 0.0,
-                                        np.array(sd)) for sd in ([1.0, 9.0], [0.02, 58.0]))
+    so_far, best = (determination.MotionWorth(Candidate('strokes', 'strokes of both', {}), 0.0,
+                                              np.array(sd)) for sd in ([1.0, 9.0], [0.02, 58.0]))
     plan = determination.Determination(
         missing=('blocks of joint2', 'forward level of joint1'), experiments=None, before=so_far,
         compared=(best,), duration=8.0)
@@ -497,7 +497,7 @@ def test_what_determines_keeps_limits_with_the_load_and_two_deviations_away(
     def keeps_limits(loop, one, believed, candidate, duration):
         loads.append(loop.load)
         return one is believed or candidate.name == 'strokes'
-    monkeypatch.setattr(Loop, 'keeps', keeps_limits)
+    monkeypatch.setattr(PlannedLoop, 'keeps', keeps_limits)
     found = plan_determination(
         robot, [replace(swings, operation=Operation(WEIGHT))], [('blocks', 'joint2')], gains,
         LIMITS, period=PERIOD, duration=5.0)

@@ -9,7 +9,7 @@ from faulty import clipped, FAULTS, healthy, SIDES, taken
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.samples import faults_of
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.effects.registry import names
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification.recording_checks import check
@@ -99,7 +99,7 @@ def test_one_goes_on_with_faults_that_are_reported(case):
     recording = clipped(case.recording, 0.7)
     limit = np.abs(recording.tau_motor).max(axis=0)
     recording = replace(recording, command=np.clip(recording.command, -limit, limit))
-    result = find_discrepancy([recording], case.nominal, Options(most=0))
+    result = find_discrepancy([recording], case.nominal, SearchOptions(most=0))
     assert result.verdict != BAD_DATA and 'clipped' in result.words
     assert faults_of([commanded(recording)], case.nominal) == []
 
@@ -109,13 +109,15 @@ def test_joints_are_known_by_name_whatever_their_order(case):
     recording = case.recording
     turned = recording.of_joints(recording.joints[::-1])
     assert turned.joints == ('joint2', 'joint1')
-    found = [find_discrepancy([one], case.nominal, Options(most=0)) for one in (recording, turned)]
+    found = [find_discrepancy([one], case.nominal, SearchOptions(most=0))
+             for one in (recording, turned)]
     assert found[0].words == found[1].words
     assert found[0].verdict != BAD_DATA and found[0].data.faults == ()
     alone = find_discrepancy([recording.of_joints(['joint2'])], case.nominal)
     assert alone.verdict == BAD_DATA and "no joint 'joint1'" in alone.words
     with pytest.raises(BagError, match="no joint 'joint1'"):
-        find_discrepancy([recording.of_joints(['joint2'])], case.nominal, Options(force=True))
+        find_discrepancy([recording.of_joints(['joint2'])], case.nominal,
+                         SearchOptions(force=True))
 
 
 @pytest.mark.parametrize(('change', 'word'), [
@@ -131,7 +133,7 @@ def test_faults_of_time_are_reported_where_links_are_not_seen(case, change, word
 
 def test_with_no_effect_to_look_for_it_is_said_that_something_is_left():
     case = make_case('single', 0, plant='soft', duration=20.0)
-    result = find_discrepancy([case.recording], case.nominal, Options(without=names()))
+    result = find_discrepancy([case.recording], case.nominal, SearchOptions(without=names()))
     assert result.verdict == UNEXPLAINED and result.searched.tried == ()
 
 
@@ -143,7 +145,7 @@ def test_torque_that_was_recorded_late_or_early_is_named(case, samples):
 
     shifted = replace(case.recording, command=later(case.recording.command),
                       tau_motor=later(case.recording.tau_motor))
-    result = find_discrepancy([shifted], case.nominal, Options(most=1))
+    result = find_discrepancy([shifted], case.nominal, SearchOptions(most=1))
     first = result.findings[0]
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
     assert first.values[0].value == pytest.approx(-2e-3 * samples, rel=0.1)
@@ -164,7 +166,8 @@ def test_torque_of_a_single_axis_that_was_recorded_late_is_named(is_measured):
     result = find_discrepancy([Recording(
         joints=robot.joints, time=time, q_link=angle + 1e-6 * np.random.default_rng(
             4).standard_normal(angle.shape), source='late',
-        **{'tau_motor' if is_measured else 'command': late[:, None]})], robot, Options(most=1))
+        **{'tau_motor' if is_measured else 'command': late[:, None]})], robot,
+        SearchOptions(most=1))
     first = result.findings[0]
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
     assert first.values[0].value == pytest.approx(-2e-3, rel=0.05)
@@ -181,7 +184,7 @@ def test_a_drive_that_reports_the_torque_which_begins_lacks_nothing(samples):
         joints=robot.joints, time=time, q_link=angle + 1e-6 * np.random.default_rng(
             4).standard_normal(angle.shape), source='early',
         tau_motor=np.append(command[samples - 1:], np.zeros(samples))[:, None])], robot,
-        Options(most=1))
+        SearchOptions(most=1))
     first, = result.minor if samples == 1 else result.findings
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
     assert first.values[0].value == pytest.approx(2e-3 * samples, rel=0.05)
@@ -191,5 +194,5 @@ def test_a_drive_that_reports_the_torque_which_begins_lacks_nothing(samples):
 def test_who_insists_is_answered(case):
     """With ``force`` the faults are listed and the run goes on."""
     result = find_discrepancy([ALL['slipped'][2](case.recording)], case.nominal,
-                              Options(force=True, most=1))
+                              SearchOptions(force=True, most=1))
     assert result.verdict != BAD_DATA and result.data.faults and result.gap is not None

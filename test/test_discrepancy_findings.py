@@ -10,7 +10,7 @@ from gms_flex_control.discrepancy.findings import evidence_shares
 from gms_flex_control.discrepancy.gap import Errors, HeldOut
 from gms_flex_control.discrepancy.remainder import Free
 from gms_flex_control.discrepancy.thresholds import RESEMBLES
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
@@ -59,7 +59,7 @@ def test_what_another_effect_explains_is_no_rival():
     """Of two effects one may be found: the other gains as much in its place as beside it."""
     case = make_case('double', 2, duration=16.0)
     hidden = {spec.key for spec in case.truth.effects}
-    result = find_discrepancy([case.recording], case.nominal, Options(most=1))
+    result = find_discrepancy([case.recording], case.nominal, SearchOptions(most=1))
     found, = (*result.findings, *result.minor)
     (name, joint), = hidden - {found.key}
     assert (name, joint) not in found.indistinguishable_from

@@ -11,7 +11,7 @@ from gms_flex_control.discrepancy.motion import make_motion, standing
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.samples import make_samples
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
 from gms_flex_control.simulation.loop import SteppedPlant
@@ -100,7 +100,7 @@ def test_uneven_samples_with_true_stamps_are_no_effect(plant_kind, effects):
     robot, _ = draw_robot(rng, plant_kind)
     nominal = draw_belief(rng, robot)
     recording = uneven_recording(replace(robot, effects=effects), tones, 3)
-    result = find_discrepancy([recording], nominal, Options(most=2))
+    result = find_discrepancy([recording], nominal, SearchOptions(most=2))
     assert result.verdict == (FOUND if effects else COMPLETE), result.words
     assert [(one.effect, one.joint) for one in result.named] == [
         spec.key for spec in effects]

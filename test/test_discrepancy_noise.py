@@ -11,7 +11,7 @@ from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
 from gms_flex_control.discrepancy.torque_noise import white_noise
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.params.robot import EffectSpec, with_effects
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_white_torque_noise_is_measured_once(seed, population):
 
 def test_a_robot_with_noisy_drives_lacks_nothing():
     case = make_case('clean', 4, population='noise_6', duration=SHORT)
-    result = find_discrepancy([case.recording], case.nominal, Options(most=2))
+    result = find_discrepancy([case.recording], case.nominal, SearchOptions(most=2))
     assert (result.verdict, result.named) == (COMPLETE, ()), result.words
     reported = {one.joint: one for one in result.data.noise if one.equation == 'motor'}
     assert set(reported) == set(case.nominal.joints)
@@ -55,7 +55,7 @@ def test_a_robot_with_noisy_drives_lacks_nothing():
 
 def test_an_effect_is_named_beside_noise():
     case = make_case('single', 3, effect='backlash', population='noise_6', duration=SHORT)
-    result = find_discrepancy([case.recording], case.nominal, Options(most=2))
+    result = find_discrepancy([case.recording], case.nominal, SearchOptions(most=2))
     true, = case.truth.effects
     first = result.named[0]
     assert first.key == true.key

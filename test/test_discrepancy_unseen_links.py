@@ -11,7 +11,7 @@ from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import drive_torque, motion_as_modelled, unexplained
 from gms_flex_control.discrepancy.result import FOUND
 from gms_flex_control.discrepancy.torque_noise import white_noise
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.effects.registry import find
 from gms_flex_control.identification.unseen_links import with_links
 from gms_flex_control.params.robot import EffectSpec, with_effects
@@ -107,7 +107,7 @@ def test_parameters_that_only_lessen_noise_of_computed_links_are_no_likelier(pop
 
 def test_an_effect_is_named_by_the_motors_alone_and_it_is_said_what_is_lost():
     case = make_case('single', 8, effect='motor_coulomb', duration=10.0)
-    result = find_discrepancy([blind(case.recording)], case.nominal, Options(most=1))
+    result = find_discrepancy([blind(case.recording)], case.nominal, SearchOptions(most=1))
     assert result.verdict == FOUND, result.words
     assert 'No link encoder of joint1, joint2 was recorded' in result.words
     assert 'kinematic_error' in result.words.split('Not identifiable there:')[1]
@@ -121,7 +121,7 @@ def test_torque_that_was_recorded_late_is_named_by_the_motors_alone():
     seen = blind(case.recording)
     late = np.roll(seen.command, 3, axis=0), np.roll(seen.tau_motor, 3, axis=0)
     result = find_discrepancy([replace(seen, command=late[0], tau_motor=late[1])],
-                              case.truth.robot, Options(most=1))
+                              case.truth.robot, SearchOptions(most=1))
     first = result.findings[0]
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
     assert first.values[0].value == pytest.approx(-6e-3, rel=0.2)

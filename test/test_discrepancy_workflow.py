@@ -13,7 +13,7 @@ from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.describe import named as described
 from gms_flex_control.discrepancy.describe import paragraph
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, Signature, UNEXPLAINED
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, IdentificationError, SimulationError
 from gms_flex_control.identification.assumed_robot import believed_model
@@ -36,7 +36,7 @@ DOUBT = 0.045
 def outcome(kind, seed, most=2, **options):
     """Return the case, what the workflow says of it, and all that was found in order."""
     case = make_case(kind, seed, **{'duration': SHORT, **options})
-    result = find_discrepancy([case.recording], case.nominal, Options(most=most))
+    result = find_discrepancy([case.recording], case.nominal, SearchOptions(most=most))
     return case, result, (*result.findings, *result.minor)
 
 
@@ -141,7 +141,8 @@ def test_odd_input_ends_as_a_sentence_or_a_verdict(change):
         with warnings.catch_warnings():
             warnings.simplefilter('error')
             try:
-                result = find_discrepancy([recording], believed, Options(force=force, most=2))
+                result = find_discrepancy(
+                    [recording], believed, SearchOptions(force=force, most=2))
             except (BagError, SimulationError) as error:
                 refused = True
                 assert str(error).startswith(recording.source) and len(str(error)) > 40
@@ -167,7 +168,7 @@ def test_a_hole_in_an_angle_is_left_out():
     q_link = case.recording.q_link.copy()
     q_link[1000:1200, 0] = np.nan
     result = find_discrepancy([replace(case.recording, q_link=q_link)], case.nominal,
-                              Options(most=1))
+                              SearchOptions(most=1))
     hidden, = case.truth.effects
     assert [one.effect for one in result.findings] == [hidden.name], result.words
     assert result.findings[0].values[0].value == pytest.approx(hidden.values[0], rel=0.02)
@@ -233,7 +234,7 @@ def test_one_joint_is_named_where_another_is_unexplained(tmp_path):
     tone = Disturbance('periodic_link_torque', 0, (
         0.3 * robot.friction.forward.static[0], 2.0 * np.pi * 4.5, 0.3), np.zeros(len(time)))
     recording = driven(robot, nominal, gains, reference, time, level, disturbance=tone)
-    result = find_discrepancy([recording], nominal, Options(most=2))
+    result = find_discrepancy([recording], nominal, SearchOptions(most=2))
     assert (result.verdict, result.is_open) == (FOUND, True), result.words
     assert [one.key for one in result.added if one.main] == [('coulomb_error', 'joint2')]
     assert result.added[0].values[0].value == pytest.approx(0.4, abs=DOUBT)
@@ -258,7 +259,7 @@ def test_a_torque_of_another_joint_is_unexplained_and_says_so():
     extra = 0.1 * case.recording.q_link[:, [1, 1]] * np.array([1.0, 0.0])
     recording = replace(case.recording, command=case.recording.command + extra,
                         tau_motor=case.recording.tau_motor + extra)
-    result = find_discrepancy([recording], case.nominal, Options(most=1))
+    result = find_discrepancy([recording], case.nominal, SearchOptions(most=1))
     assert result.verdict == UNEXPLAINED, result.words
     assert result.unexplained.joint == 'joint1'
     assert result.unexplained.variable == 'link angle of joint2'
@@ -270,7 +271,7 @@ def test_a_wave_that_hardly_turns_is_none():
     hidden, = case.truth.effects
     same = ('motor_torque_bias', 'spring_offset', 'constant_link_torque',
             'link_encoder_eccentricity', 'kinematic_error', 'friction_asymmetry', 'gravity_tilt')
-    result = find_discrepancy([case.recording], case.nominal, Options(without=same, most=2))
+    result = find_discrepancy([case.recording], case.nominal, SearchOptions(without=same, most=2))
     assert result.verdict == UNEXPLAINED, result.words
     assert result.unexplained.variable == 'constant'
     assert result.unexplained.joint == hidden.joint
@@ -325,7 +326,7 @@ def test_no_model_is_written_that_predicts_worse_than_the_one_given():
     reference = draw_reference(rng, 'rich', 'stiff', time)
     recordings = [driven(robot, robot, gains, reference, time, *effects) for effects in (
         (EffectSpec(name='motor_viscous', joint='joint1', values=(0.03,)),), ())]
-    result = find_discrepancy(recordings[:1], robot, Options(most=1), holdout=recordings[1:])
+    result = find_discrepancy(recordings[:1], robot, SearchOptions(most=1), holdout=recordings[1:])
     assert [one.effect for one in result.minor] == ['motor_viscous'] and not result.findings
     assert result.robot.effects == ()
     assert np.linalg.norm(result.gap.after) <= np.linalg.norm(result.gap.before)
@@ -344,7 +345,7 @@ def test_an_effect_matters_that_other_recordings_do_not_touch(angle, stiffness, 
     for scale, reference in zip((1.0, 0.6, 0.6), references, strict=True):
         recordings.append(driven(robot, robot, gains, scale * reference, time, stop))
         assert (scale == 1.0) == (recordings[-1].q_link[:, 0].min() < angle)
-    result = find_discrepancy(recordings[:fitted], robot, Options(most=1),
+    result = find_discrepancy(recordings[:fitted], robot, SearchOptions(most=1),
                               holdout=recordings[fitted:])
     assert result.verdict == FOUND, result.words
     assert [one.key for one in result.findings] == [one.key for one in result.added] == [
@@ -358,7 +359,7 @@ def test_what_differs_between_recordings_is_no_effect():
     other = replace(case.held_out, q_link=case.held_out.q_link + [4e-3, 0.0],
                     command=case.held_out.command + [0.0, 0.02],
                     tau_motor=case.held_out.tau_motor + [0.0, 0.02])
-    result = find_discrepancy([case.recording, other], case.nominal, Options(most=1))
+    result = find_discrepancy([case.recording, other], case.nominal, SearchOptions(most=1))
     assert result.verdict == COMPLETE and not result.named
     reported = {sentence.split(' joint')[0]: sentence for sentence in result.data.differences}
     assert set(reported) == {'zero of the link encoder of', 'torque of'}

@@ -12,7 +12,7 @@ from gms_flex_control.control.feedforward import as_parameters
 from gms_flex_control.discrepancy.learned_words import described, formula_of
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import UNEXPLAINED
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import learned, registry, table
 from gms_flex_control.effects.base import Stage
@@ -164,7 +164,7 @@ def bump():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(outsiders, 'draw_values', lambda rng, name, k: (HEIGHT, PLACE, WIDTH))
         case = make_case('outside', 0, effect='local_bump', plant='stiff', duration=30.0)
-    found = find_discrepancy([case.recording], case.nominal, Options(most=1),
+    found = find_discrepancy([case.recording], case.nominal, SearchOptions(most=1),
                              holdout=[case.held_out])
     return case, found, learn(found, holdout=[case.held_out])
 

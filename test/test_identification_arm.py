@@ -17,7 +17,7 @@ from gms_flex_control.identification.axis_fit import (
     rows_of,
     rows_that_agree,
 )
-from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of, IN_PLANE
 from gms_flex_control.params.arm import ArmParams, in_space
 from gms_flex_control.simulation import plant
@@ -25,7 +25,7 @@ from identified_axis import axis, experiment, pendulum
 import numpy as np
 import pytest
 
-ALL = Options(estimate='all', blocks=(1, 3))
+ALL = IdentifyOptions(estimate='all', blocks=(1, 3))
 
 
 @pytest.mark.parametrize(('pull', 'constant'), [(0.5, 0.0), (0.0, 0.0), (0.0, 0.2)])

@@ -8,14 +8,14 @@ from core_runs import scaled_friction, single_axis
 from discrepancy_runs import FRICTIONLESS
 from gms_flex_control.data.recording import Phase
 from gms_flex_control.identification.friction_map import friction_map, repeatability
-from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.problem import Problem
 from gms_flex_control.identification.segments import resolution, Segment
 from identified_axis import axis, experiment, JOINT, part, STATIC, without_phases, YIELDS
 import numpy as np
 import pytest
 
-FOUR = Options(blocks=(4,))
+FOUR = IdentifyOptions(blocks=(4,))
 NAMES = ('static', 'coulomb', 'velocity', 'viscous')
 TOLERANCES = dict(zip(NAMES, (0.03, 0.03, 0.15, 0.03), strict=True))  # of the requirement
 NEVER = 5.0  # rad, farther than the axis goes
@@ -174,7 +174,7 @@ def test_a_block_that_never_slips_is_no_friction():
     """One of four blocks is a spring over all of the range: three carry what friction there is."""
     yields = (NEVER, *YIELDS[1:])
     found = identify([experiment(rigid=True, yields=yields)], axis(rigid=True, yields=yields),
-                     options=Options(blocks=(3,))).robot.friction
+                     options=IdentifyOptions(blocks=(3,))).robot.friction
     for name, error in steady_errors(found).items():
         if name.endswith(('static', 'coulomb')):
             assert error == pytest.approx(-0.25, abs=0.03), name
@@ -247,6 +247,6 @@ def test_few_data_of_which_a_quarter_is_no_test_of_the_joint_are_fitted():
     phases = tuple(Phase(2 * k * 10**9, *(('idle', '', '', 0.0) if k % 4 == 1 else
                                           ('sliding', JOINT, f'step{k}', 0.1)))
                    for k in range(10))
-    steady = identify([(recorded, phases)], axis(), options=Options(
+    steady = identify([(recorded, phases)], axis(), options=IdentifyOptions(
         blocks=(1, 3))).robot.friction.forward
     assert steady.coulomb[0] == pytest.approx(0.09087, rel=0.05)

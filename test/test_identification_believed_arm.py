@@ -10,7 +10,7 @@ from discrepancy_runs import driven
 from gms_flex_control.identification.arm_fit import with_axis
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.believed_arm import Believed, believed
-from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.params.robot import EffectSpec
 from identified_axis import axis, experiment, JOINT, part, pendulum
 import numpy as np
@@ -36,7 +36,7 @@ def moment(arm):
 @pytest.mark.parametrize('heavier', [0.96, 1.0, 1.04])
 def test_friction_is_that_of_the_joint_where_a_link_weighs_less_than_described(heavier):
     """Gravity that is 4 % off is a third of this friction: relied on, it makes that 55 % wrong."""
-    found = identify([pendulum()], described(heavier), options=Options(blocks=(1,)))
+    found = identify([pendulum()], described(heavier), options=IdentifyOptions(blocks=(1,)))
     for side in (found.robot.friction.forward, found.robot.friction.backward):
         assert side.coulomb[0] == pytest.approx(COULOMB, rel=0.05)
     assert found.robot.arm.mass[0] == found.believed.arm.mass[0]  # as described
@@ -74,7 +74,7 @@ def test_friction_beside_a_spring_that_is_stiffer_than_described_is_that_of_the_
     soft = replace(robot, arm=replace(robot.arm, stiffness=0.92 * robot.arm.stiffness),
                    uncertainty={('stiffness', JOINT): 0.1})
     found = identify([part(experiment(rigid=False), 0.0, 60.0)], soft,
-                     options=Options(blocks=(4,)))
+                     options=IdentifyOptions(blocks=(4,)))
     for side, true in ((found.robot.friction.forward, robot.friction.forward),
                        (found.robot.friction.backward, robot.friction.backward)):
         assert side.coulomb[0] == pytest.approx(true.coulomb[0], rel=0.01)
@@ -87,7 +87,7 @@ def test_friction_is_that_of_the_joint_where_torques_are_stamped_early_or_late(e
     recording = pendulum(early=early, pace=2.0)
     found = believed([recording], described())
     assert found.delay == pytest.approx([early], abs=2e-4)
-    result = identify([recording], described(), options=Options(blocks=(1,)))
+    result = identify([recording], described(), options=IdentifyOptions(blocks=(1,)))
     for side in (result.robot.friction.forward, result.robot.friction.backward):
         assert side.coulomb[0] == pytest.approx(COULOMB, rel=0.05)
     assert f'{abs(1e3 * early):g} ms {"later" if early > 0.0 else "earlier"}' in result.warnings[0]

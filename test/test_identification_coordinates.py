@@ -14,7 +14,7 @@ from gms_flex_control.identification.coordinates import (
     yields_of,
 )
 from gms_flex_control.identification.least_squares import prior_of
-from gms_flex_control.identification.outcome import Candidate
+from gms_flex_control.identification.outcome import BlockCandidate
 from gms_flex_control.identification.selection import JointFit
 from gms_flex_control.identification.uncertainty import curve_of, Spread
 from gms_flex_control.simulation.predictor import BLOCKS
@@ -131,7 +131,8 @@ def test_a_fit_without_the_blocks_that_never_slip_has_the_same_friction():
     free = coordinates.pack(**STEADY, yields=[50.0, 3e-4, 2e-3, 1e-2])
     sampling = np.arange(coordinates.size, dtype=float)
     fit = JointFit(coordinates, free, prior_of(coordinates, free), free,
-                   (Candidate(2, 1.0, 0.1, False), Candidate(4, 0.9, 0.0, True)), sampling)
+                   (BlockCandidate(2, 1.0, 0.1, False), BlockCandidate(4, 0.9, 0.0, True)),
+                   sampling)
     less = fit.slipping(1.0)
     time = np.arange(4000) * 1e-3
     angle, rate = 0.3 * np.sin(3.0 * time)[:, None], 0.9 * np.cos(3.0 * time)[:, None]

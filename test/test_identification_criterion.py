@@ -5,7 +5,7 @@ from core_runs import single_axis
 from discrepancy_runs import FRICTIONLESS
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.identification.believed_arm import Believed
-from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.least_squares import TorqueError
 from gms_flex_control.identification.objective import everything, Objective
 from gms_flex_control.identification.prediction_error import simple_free
@@ -53,7 +53,7 @@ def test_a_correction_of_the_arm_explains_the_torque_of_what_was_believed_wrongl
 @pytest.mark.parametrize('drop, is_simple', [(FALLS_BY, False), (0.0, True)])
 def test_friction_that_falls_is_found_where_it_explains_little_but_always(drop, is_simple, seed):
     robot = single_axis(FRICTIONLESS, INERTIA)
-    found = identify([recorded(drop, NOISE, seed)], robot, options=Options(blocks=(1,)))
+    found = identify([recorded(drop, NOISE, seed)], robot, options=IdentifyOptions(blocks=(1,)))
     sentences = ' '.join(found.joints[0].warnings)
     assert ('do not identify GMS friction' in sentences) is is_simple, sentences
 
@@ -71,7 +71,7 @@ def test_friction_that_falls_is_found_though_few_moments_show_it():
     found = identify([Recording(
         joints=('axis',), time=time, source='turned', q_link=angle[:, None],
         tau_motor=(torque + 0.01 * rng.standard_normal(len(time)))[:, None])], robot,
-        options=Options(blocks=(1,)))
+        options=IdentifyOptions(blocks=(1,)))
     friction = found.robot.friction.forward
     assert friction.static[0] - friction.coulomb[0] == pytest.approx(FALLS_BY, rel=0.2)
     assert 'do not identify GMS friction' not in ' '.join(found.joints[0].warnings)

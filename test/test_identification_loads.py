@@ -13,7 +13,7 @@ from gms_flex_control.errors import BagError, ConfigError, IdentificationError
 from gms_flex_control.identification import assumed_robot
 from gms_flex_control.identification.arm_differences import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
-from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
 from gms_flex_control.identification.output import friction_values, with_friction_of
 from gms_flex_control.identification.recording_checks import require
@@ -275,7 +275,7 @@ def test_an_arm_is_identified_that_was_recorded_joint_by_joint():
     """The friction of the joints that moved is found, that of all others stays as described."""
     robot, arm, urdf = hidden_arm()
     recordings = [moved(urdf, robot.arm, 10.0, seed=j, moving=np.arange(6) == j) for j in (3, 0)]
-    found = identify(recordings, replace(robot, arm=arm), options=Options(blocks=(1,)))
+    found = identify(recordings, replace(robot, arm=arm), options=IdentifyOptions(blocks=(1,)))
     assert any('joint2, joint3, joint5, joint6 hardly move' in one for one in found.warnings)
     assert [one.joint for one in found.joints] == ['joint1', 'joint4']
     coulomb, viscous = friction_of(robot.arm)
@@ -298,7 +298,7 @@ def test_friction_of_one_joint_of_an_arm_is_found_and_the_others_keep_theirs():
         steady, static=believed, coulomb=believed, viscous=viscous))
     robot = replace(robot, arm=arm, friction=friction, uncertainty={
         ('level', 'joint1'): 0.011, ('level', 'joint4'): 0.012})
-    found = identify([moved(urdf, arm, 10.0, seed=3)], robot, options=Options(
+    found = identify([moved(urdf, arm, 10.0, seed=3)], robot, options=IdentifyOptions(
         blocks=(1,), joints=('joint4',)))
     assert [one.joint for one in found.joints] == ['joint4']
     own = found.robot.friction.forward
@@ -316,7 +316,7 @@ def test_a_joint_without_torque_keeps_its_friction_and_the_others_are_identified
     recorded = moved(urdf, robot.arm, 8.0, seed=3, moving=np.isin(np.arange(6), (0, 1, 3)))
     known = np.where(np.arange(6) == 1, torque, recorded.tau_motor)
     recorded = replace(recorded, tau_motor=known)
-    found = identify([recorded], replace(robot, arm=arm), options=Options(blocks=(1,)))
+    found = identify([recorded], replace(robot, arm=arm), options=IdentifyOptions(blocks=(1,)))
     reported, = [one for one in found.warnings if 'have no torque' in one]
     assert reported.startswith('hidden: joint2 have no torque that was recorded')
     assert [one.joint for one in found.joints] == ['joint1', 'joint4']
@@ -336,6 +336,6 @@ def test_an_axis_without_torque_does_not_end_the_fit_of_another():
     drive = bend + 0.8 * np.tanh(rate / 1e-3) + 0.2 * rate
     recorded = Recording(joints=robot.joints, time=time, source='axes', q_link=np.stack([q, q], 1),
                          tau_motor=np.stack([drive, np.full(len(q), np.nan)], axis=1))
-    found = identify([recorded], robot, options=Options(blocks=(1,)))
+    found = identify([recorded], robot, options=IdentifyOptions(blocks=(1,)))
     assert [one.joint for one in found.joints] == ['turn']
     assert found.robot.friction.forward.coulomb == pytest.approx([0.8, 1.0], rel=0.05)

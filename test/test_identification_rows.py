@@ -3,7 +3,7 @@
 
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.identification.assumed_robot import at_own_rate, rigid_joints
-from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.robust_regression import regress, robust, weighting_of
 from gms_flex_control.identification.segments import half_count, segments_of, while_moved
 import numpy as np
@@ -76,7 +76,7 @@ def test_readings_that_a_slow_source_holds_are_no_further_samples():
     with pytest.warns(UserWarning, match='those that are repeated do not count'):
         taken = at_own_rate(held)
     assert taken.period == pytest.approx(period, rel=0.02)
-    found = identify([held], robot, options=Options(blocks=(1,)))
+    found = identify([held], robot, options=IdentifyOptions(blocks=(1,)))
     assert not any('repeated; record' in one for one in found.warnings)
     for side in (found.robot.friction.forward, found.robot.friction.backward):
         assert side.coulomb[0] == pytest.approx(4.0, rel=0.05)

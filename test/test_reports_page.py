@@ -7,7 +7,7 @@ import re
 
 from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.reports.figure_style import COLOURS, finished, stacked_panels
-from gms_flex_control.reports.page import decimate, merge_grids, Report, Series
+from gms_flex_control.reports.page import ChartSeries, decimate, merge_grids, Report
 from html_page import Page
 import numpy as np
 import pytest
@@ -32,7 +32,8 @@ def small_report():
     panel.plot(t, np.cos(t), 'k--')
     finished(figure, [panel], EVIL)
     return (Report(EVIL, answer(), EVIL)
-            .chart(EVIL, t, [Series(EVIL, np.sin(t)), Series('b', np.cos(t))], y_label=EVIL)
+            .chart(EVIL, t, [ChartSeries(EVIL, np.sin(t)), ChartSeries('b', np.cos(t))],
+                   y_label=EVIL)
             .heading(EVIL).text(EVIL).note(EVIL, warning=True)
             .table([EVIL, 'n'], [[EVIL, '1.5'], ['x', '-']], caption=EVIL)
             .figure(figure, caption=EVIL).heading('second'))
@@ -90,7 +91,7 @@ def test_writing_is_whole_or_not_at_all(tmp_path):
     ([0, 1], [0, 0], 'pink', "role 'pink' is not one of")])
 def test_a_chart_that_cannot_be_drawn_is_refused(x, y, role, match):
     with pytest.raises(ValueError, match=match):
-        Report('r', answer()).chart('c', x, [Series('s', y, role=role)])
+        Report('r', answer()).chart('c', x, [ChartSeries('s', y, role=role)])
 
 
 def test_series_on_different_stamps_meet_on_their_union():
@@ -125,9 +126,9 @@ LEFT_BELOW = """Array.from(document.querySelectorAll('.chart'), (chart) => {
 def crowded(browser, tmp_path):
     """Open a report with two charts of eight curves with long names each; return the browser."""
     t = np.arange(500) * 2e-3
-    lines = [Series(f'disturbance observer number {k}', np.sin(t + k)) for k in range(8)]
+    lines = [ChartSeries(f'disturbance observer number {k}', np.sin(t + k)) for k in range(8)]
     page = Report('crowded', answer()).chart('one', t, lines, y_label='rad').chart(
-        'two', t, [*lines[1:], Series('longer_than_a_telephone_is_wide_' * 3, t)])
+        'two', t, [*lines[1:], ChartSeries('longer_than_a_telephone_is_wide_' * 3, t)])
     browser.errors.clear()
 
     def opened(width):
@@ -152,8 +153,8 @@ def test_details_are_drawn_when_they_open_and_paper_shows_them(browser, tmp_path
     t = np.arange(500) * 2e-3
     figure, (panel,) = stacked_panels(1)
     panel.plot(t, np.sin(t), color=COLOURS[1], linewidth=1.3)
-    page = (Report('r', answer(sentence='s')).chart('first', t, [Series('a', t)]).heading('h')
-            .chart('second', t, [Series('a', t)]).table(['wide'] * 30, [['cell'] * 30])
+    page = (Report('r', answer(sentence='s')).chart('first', t, [ChartSeries('a', t)]).heading('h')
+            .chart('second', t, [ChartSeries('a', t)]).table(['wide'] * 30, [['cell'] * 30])
             .figure(figure, 'c'))
     browser.errors.clear()
     browser.screen(400, 860, dark=True)

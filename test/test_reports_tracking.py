@@ -6,14 +6,14 @@ import struct
 
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.reports import recordings_page
-from gms_flex_control.tuning.tracking import Run
+from gms_flex_control.tuning.tracking import TrackingRun
 import numpy as np
 import pytest
 
 
 def run(trajectory, compensation, error=0.01, reference=0.0, samples=2000, stamp=1e-3):
     """Return a run of two joints with a constant error [rad]."""
-    return Run(trajectory, compensation, Recording(
+    return TrackingRun(trajectory, compensation, Recording(
         joints=('joint1', '<b>$_'), time=np.arange(samples) * stamp, q_link=error, tau_motor=1.0,
         reference=reference, source=f'bags/{trajectory}_{compensation}'))
 

@@ -16,7 +16,7 @@ from gms_flex_control.schema.files import save_robot, save_values
 from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
 from gms_flex_control.tuning import study
-from gms_flex_control.tuning.study import Condition, conditions, CONTESTANTS, plant_of
+from gms_flex_control.tuning.study import conditions, CONTESTANTS, plant_of, PlantCondition
 import numpy as np
 import pytest
 
@@ -91,7 +91,8 @@ def test_a_cell_is_the_simulation_it_names(arm):
 
 def test_a_robot_that_runs_away_is_lost_and_not_a_number(arm):
     setting = setting_of(arm)._replace(gains=replace(arm[1], kd_motor=np.full(2, 60.0)))
-    outcome = study.try_cell(study.Cell(setting, 'gms', Condition('slow', 'slow', rate=100.0)))
+    outcome = study.try_cell(
+        study.Cell(setting, 'gms', PlantCondition('slow', 'slow', rate=100.0)))
     assert study.error_of(outcome) is None or study.error_of(outcome) > 0.1
     json.dumps(outcome, allow_nan=False)
 

@@ -7,7 +7,7 @@ from gms_flex_control.cli.main import build_parser
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
-from gms_flex_control.tuning.tracking import Run, Table4, table4, track
+from gms_flex_control.tuning.tracking import Table4, table4, track, TrackingRun
 import numpy as np
 import pytest
 
@@ -27,7 +27,7 @@ def sinusoid_run(trajectory, compensation, amplitudes):
     """Return a run whose error is a sinusoid over whole periods: MSE = amplitude^2 / 2."""
     t = np.arange(4000) * 1e-3
     wave = np.sin(2 * np.pi * t)[:, None] * np.asarray(amplitudes)
-    return Run(trajectory, compensation, recording(wave))
+    return TrackingRun(trajectory, compensation, recording(wave))
 
 
 def test_mse_of_a_sinusoidal_error_is_half_its_amplitude_squared():
@@ -54,8 +54,8 @@ def test_repeats_of_one_experiment_are_averaged():
 def test_samples_without_a_reference_do_not_count():
     reference = np.zeros((1000, 2))
     reference[:400] = np.nan
-    result = track(Run('x', 'y', recording(np.full((1000, 2), 0.1), reference)))
-    bare = track(Run('x', 'y', recording(np.ones((10, 2)), np.full((10, 2), np.nan))))
+    result = track(TrackingRun('x', 'y', recording(np.full((1000, 2), 0.1), reference)))
+    bare = track(TrackingRun('x', 'y', recording(np.ones((10, 2)), np.full((10, 2), np.nan))))
     assert result.joints[0].samples == 600
     assert result.joints[0].mse == pytest.approx(0.01) and np.isnan(bare.joints[0].mse)
     assert "'-'" in repr(Table4((bare,)).rows())
@@ -68,7 +68,7 @@ def test_holding_still_is_judged_after_settling_over_the_last_five_seconds():
     error[(t > 1) & (t < 4)] = 0.5                  # still settling, not judged
     error[(t > 5) & (t < 6)] = 2e-4
     error[(t > 7) & (t < 8)] = -1e-4
-    joint = track(Run('p', 'gms', recording(error, reference, joints=('j',)))).joints[0]
+    joint = track(TrackingRun('p', 'gms', recording(error, reference, joints=('j',)))).joints[0]
     assert joint.hold_peak_to_peak == pytest.approx(3e-4)
 
 
@@ -76,7 +76,7 @@ def test_a_loop_that_did_not_keep_up_is_reported():
     """Every second sample unanswered, those before the controller came aside; and no commands."""
     command = np.zeros((1000, 2))
     command[:200] = command[201::2] = np.nan
-    late = Run('sinusoid', 'gms', recording(np.zeros((1000, 2)), command=command))
+    late = TrackingRun('sinusoid', 'gms', recording(np.zeros((1000, 2)), command=command))
     table = table4([late, sinusoid_run('sinusoid', 'none', [0.1, 0.1])])
     assert table.runs[0].unanswered == pytest.approx(0.5, abs=0.002)
     finding, = table.findings()

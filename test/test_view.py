@@ -15,7 +15,7 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.file_io import share_path
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.view.live import Rows
+from gms_flex_control.view.live import JointStateTable
 from gms_flex_control.view.recorded import (
     BagView,
     blocks_along,
@@ -160,7 +160,7 @@ def test_other_bags_are_drawn_over_the_first_from_their_beginnings(tmp_path):
 
 
 def test_rows_are_put_together_by_stamp_whatever_comes_first():
-    rows = Rows(2, 3)
+    rows = JointStateTable(2, 3)
     rows.put('reference', 1_000_000_000, [0.5, 0.6])
     rows.put_state(1_000_000_000, 0.0, [0.1, 0.2], [0.3, 0.4])
     rows.put_state(1_002_000_000, 0.002, [0.11, 0.21], [0.31, np.nan])
@@ -188,7 +188,7 @@ def test_rows_are_put_together_by_stamp_whatever_comes_first():
 
 
 def test_of_a_fast_loop_only_spaced_states_make_rows():
-    rows = Rows(1, 0, spacing=4_000_000)
+    rows = JointStateTable(1, 0, spacing=4_000_000)
     for k in range(100):
         stamp = 1_000_000_000 + k * 1_000_000
         assert rows.wants(stamp) is (k % 4 == 0)

@@ -20,7 +20,7 @@ from gms_flex_control.reports.figure_style import (
     stacked_panels,
     thinned,
 )
-from gms_flex_control.reports.page import Report, Series
+from gms_flex_control.reports.page import ChartSeries, Report
 from gms_flex_control.tuning.tracking import link_error
 import numpy as np
 
@@ -185,8 +185,9 @@ def _add_error(report, outcome, j):
     recordings = outcome.recordings
     report.chart(f'{outcome.hidden.robot.joints[j]}: tracking error, by what the controller '
                  'believes', recordings['believed'].time, [
-                     Series(BELIEFS[belief], 1e3 * link_error(recording)[:, j], x=recording.time,
-                            role=_ROLES[belief]) for belief, recording in recordings.items()],
+                     ChartSeries(BELIEFS[belief], 1e3 * link_error(recording)[:, j],
+                                 x=recording.time, role=_ROLES[belief])
+                     for belief, recording in recordings.items()],
                  y_label='angle [mrad]')
 
 

@@ -15,7 +15,7 @@ from gms_flex_control.discrepancy.fitting import refitted, retuned
 from gms_flex_control.discrepancy.gap import free_runs
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.search import count_of
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.params.robot import with_effects
 from gms_flex_control.simulation import plant
@@ -61,7 +61,7 @@ def ask_workflow(case, without):
 
     As plain values (dict), and its Discrepancy, None where it failed.
     """
-    options = Options(without=without) if without else Options()
+    options = SearchOptions(without=without) if without else SearchOptions()
     begin = time.perf_counter()
     try:
         result = find_discrepancy([case.recording], case.nominal, options, holdout=[case.held_out])

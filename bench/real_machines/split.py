@@ -10,10 +10,9 @@ from bench.real_machines import least_squares
 from bench.real_machines.least_squares import Part
 from bench.real_machines.motion import low_pass, motion_of, residual_torque, rms
 from gms_flex_control.discrepancy.compared import compare
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.identification.identify import identify
-from gms_flex_control.identification.identify import Options as IdentifyOptions
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.output import write_friction
 from gms_flex_control.schema.files import load_robot
 import numpy as np
@@ -127,7 +126,7 @@ def asked(fitted, robot, held_out):
         result = find_discrepancy(fitted, robot)
         verdict, words = result.verdict, result.words
         if result.robot is None:
-            result = find_discrepancy(fitted, robot, Options(force=True))
+            result = find_discrepancy(fitted, robot, SearchOptions(force=True))
             verdict, words = f'{verdict}, forced: {result.verdict}', f'{words} {result.words}'
     except Exception as error:  # noqa: B902  a crash is a result of this bench
         return {'verdict': CRASHED, 'words': f'{type(error).__name__}: {error}'}

@@ -6,7 +6,7 @@ from dataclasses import replace
 from bench.hidden_robots.cases import make_case
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND, UNEXPLAINED
-from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.reports.answers import discrepancy_answer
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ import pytest
 def test_a_hidden_effect_is_named_first_with_its_values():
     """Values within 5 %, directions within 0.1 rad; free runs end no farther off."""
     case = make_case('single', 26, duration=12.0, effect='gravity_tilt')
-    result = find_discrepancy([case.recording], case.nominal, Options(most=2))
+    result = find_discrepancy([case.recording], case.nominal, SearchOptions(most=2))
     first, hidden = result.findings[0], case.truth.effects[0]
     assert result.verdict == FOUND, result.words
     assert (first.effect, first.joint) == ('gravity_tilt', hidden.joint)
@@ -30,7 +30,7 @@ def test_a_clean_robot_whose_links_are_not_seen_is_complete():
     case = make_case('clean', 3, duration=10.0)
     unknown = np.full_like(case.recording.q_link, np.nan)
     blind = replace(case.recording, q_link=unknown, dq_link=unknown)
-    result = find_discrepancy([blind], case.nominal, Options(most=1))
+    result = find_discrepancy([blind], case.nominal, SearchOptions(most=1))
     assert result.verdict == COMPLETE, result.words
 
 
@@ -40,7 +40,7 @@ def test_a_delay_and_a_lag_are_separated_in_a_closed_loop(seed, effect):
     case = make_case('single', seed, duration=25.0)
     hidden, = case.truth.effects
     assert hidden.name == effect and hidden.values[0] < 8e-3
-    result = find_discrepancy([case.recording], case.nominal, Options(most=2))
+    result = find_discrepancy([case.recording], case.nominal, SearchOptions(most=2))
     first = result.findings[0]
     assert (first.effect, first.joint) == (effect, hidden.joint)
     assert next(iter(first.parameters.values())) == pytest.approx(hidden.values[0], rel=0.05)
@@ -83,7 +83,7 @@ def test_a_term_for_parameters_believed_a_little_wrong_is_none():
 
 def test_a_clean_robot_gets_no_term_even_if_asked_for():
     case = make_case('clean', 1, duration=12.0)
-    found = find_discrepancy([case.recording], case.nominal, Options(most=1))
+    found = find_discrepancy([case.recording], case.nominal, SearchOptions(most=1))
     assert learn(found) is found
     asked = replace(found, verdict=UNEXPLAINED)  # as where a finding could not be added
     assert '--learn' in discrepancy_answer(asked, 'gap').command

@@ -16,14 +16,14 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.result import FOUND
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.identification.assumed_robot import rigid_joints
-from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.params.robot import StribeckParams
 import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / 'shared' / 'data'
-ALL = Options(estimate='all', blocks=(1, 3))
+ALL = IdentifyOptions(estimate='all', blocks=(1, 3))
 real = pytest.mark.skipif(not DATA.is_dir(), reason='the recordings are not beside the project')
 PERIOD = 2e-3
 BAND = 40.0

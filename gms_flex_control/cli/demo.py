@@ -23,7 +23,7 @@ from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.reports.recordings_page import write_tracking_report
 from gms_flex_control.schema.files import load_robot, save_robot
 from gms_flex_control.simulation.loop import SteppedPlant
-from gms_flex_control.tuning.tracking import Run, table4
+from gms_flex_control.tuning.tracking import table4, TrackingRun
 import numpy as np
 
 RATE = 500.0  # joint states per second [Hz]
@@ -79,7 +79,7 @@ def _drive_all(plans, out):
                        duration=plan.duration, rate=RATE),
             out / 'bags' / f'{motion}_{mode}', log=out / 'log')
         say(f'      {len(recording.time)} joint states in {time.monotonic() - begin:.1f} s')
-        runs.append(Run(motion, mode, recording))
+        runs.append(TrackingRun(motion, mode, recording))
     return runs
 
 
@@ -101,7 +101,7 @@ def _simulate_all(plans, out):
     runs = []
     for (motion, mode), plan in plans.items():
         bag = out / 'bags' / 'exact_model' / f'{motion}_{mode}'
-        runs.append(Run(motion, mode, simulate_to_bag(plan, bag)))
+        runs.append(TrackingRun(motion, mode, simulate_to_bag(plan, bag)))
     say(f'simulated the same {len(runs)} with the exact model in this process')
     return runs
 

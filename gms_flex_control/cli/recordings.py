@@ -21,15 +21,14 @@ from gms_flex_control.data.writer import write_recording
 from gms_flex_control.discrepancy.compared import as_found, compare, segment_of, with_closed_loop
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
-from gms_flex_control.discrepancy.workflow import find_discrepancy
-from gms_flex_control.discrepancy.workflow import Options as SearchOptions
+from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.file_io import share_path, write_json, write_text, written_together
 from gms_flex_control.identification import output
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
-from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.recording_checks import check
 from gms_flex_control.params.arm import in_currents, in_units_of
 from gms_flex_control.params.gains import COMPENSATIONS
@@ -42,7 +41,7 @@ from gms_flex_control.reports.answers import (
 from gms_flex_control.reports.discrepancy_page import units_of, write_discrepancy_report
 from gms_flex_control.reports.recordings_page import write_identification_report
 from gms_flex_control.schema.files import load_controller, load_robot, load_robot_to_identify
-from gms_flex_control.tuning.tracking import link_error, Run
+from gms_flex_control.tuning.tracking import link_error, TrackingRun
 import numpy as np
 
 UNLABELLED = 'unlabelled'
@@ -112,7 +111,7 @@ def analyse(args) -> int:
         raise BagError(f'--label was given {len(args.label)} times for {len(args.bags)} bags; '
                        'give it once per bag, in their order, or not at all')
     labels = list(map(given_label, args.label) if args.label else map(bag_label, args.bags))
-    runs = [Run(*label, read_recording(bag, args.joints, args.motors))
+    runs = [TrackingRun(*label, read_recording(bag, args.joints, args.motors))
             for bag, label in zip(args.bags, labels, strict=True)]
     _refuse_without_reference(runs)
     axes = {_remarks(bag).get('axes', 'rotary') for bag in args.bags}
@@ -123,7 +122,7 @@ def analyse(args) -> int:
 
 
 def _refuse_without_reference(runs):
-    """Warn about each Run without a tracking error; raise BagError if none has one."""
+    """Warn about each TrackingRun without a tracking error; raise BagError if none has one."""
     without = [run.recording.source for run in runs
                if not np.isfinite(link_error(run.recording)).any()]
     sentence = ('no sample has both a link angle and a reference, so there is no tracking error; '
@@ -199,7 +198,7 @@ def _options_of(args):
         if wrong:
             raise ConfigError(f'--blocks {wrong[0]}: give numbers from 1 to {MOST_BLOCKS}')
         chosen['blocks'] = tuple(sorted(set(args.blocks)))
-    return Options(**chosen)
+    return IdentifyOptions(**chosen)
 
 
 def _robot_of(args):

@@ -20,7 +20,7 @@ _CONFIGURATIONS = 4000  # at most, over which the extremes of M(q) are sought
 
 
 @dataclass(frozen=True, kw_only=True)
-class Condition:
+class GainCondition:
     """One inequality on the gains of one joint: ``value`` must be above ``limit``."""
 
     joint: str      # link name
@@ -39,7 +39,7 @@ class Condition:
 class GainReport:
     """What the stability proof says about a controller on a robot."""
 
-    conditions: tuple    # of Condition, joint by joint; nothing couples into rigid joints
+    conditions: tuple    # of GainCondition, joint by joint; nothing couples into rigid joints
     joints: tuple        # link names
     alpha: np.ndarray    # (n,) smallest eigenvalue of each joint's N_2 (37)
     mass_range: tuple    # smallest and largest eigenvalue of M(q), all configurations [kg m^2]
@@ -103,7 +103,7 @@ def _conditions(gains, robot):
              stiffness * (l1 + 1) / 2),
             (EXACT, 'Lambda_2 sqrt(2 K_D1 K_D2) > K', l2 * math.sqrt(2 * k1 * k2), stiffness))
         for kind, text, value, limit in rows:
-            yield Condition(joint=joint, kind=kind, condition=text, value=value, limit=limit)
+            yield GainCondition(joint=joint, kind=kind, condition=text, value=value, limit=limit)
 
 
 def _observes(gains, j):

@@ -19,7 +19,7 @@ _SECOND = 1_000_000_000  # [ns]
 _DIGITS = 19             # more do not fit 64 bits
 
 
-class Layout:
+class MessageLayout:
     """The bytes of every message that has the same texts and lengths, as one numpy record."""
 
     def __init__(self, head=LITTLE_ENDIAN):
@@ -65,9 +65,9 @@ class Layout:
         return good
 
 
-def joint_state_layout(names, counts, frame='', head=LITTLE_ENDIAN) -> Layout:
-    """Return the Layout of JointStates with these names and lengths of VALUES."""
-    layout = Layout(head)
+def joint_state_layout(names, counts, frame='', head=LITTLE_ENDIAN) -> MessageLayout:
+    """Return the MessageLayout of JointStates with these names and lengths of VALUES."""
+    layout = MessageLayout(head)
     layout.place('sec', '<i4')
     layout.place('nanosec', '<u4')
     layout.place_text('frame', frame)
@@ -81,9 +81,9 @@ def joint_state_layout(names, counts, frame='', head=LITTLE_ENDIAN) -> Layout:
     return layout
 
 
-def array_layout(dims, count, head=LITTLE_ENDIAN) -> Layout:
-    """Return the Layout of Float64MultiArrays alike but for values and digits of the stamp."""
-    layout = Layout(head)
+def array_layout(dims, count, head=LITTLE_ENDIAN) -> MessageLayout:
+    """Return the MessageLayout of Float64MultiArrays alike but for values and the stamp."""
+    layout = MessageLayout(head)
     layout.place('dims', '<u4', len(dims))
     stamped = False
     for k, (label, size, stride) in enumerate(dims):

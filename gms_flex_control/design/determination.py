@@ -15,7 +15,7 @@ from typing import NamedTuple
 from gms_flex_control.data.recording import Operation, Recording
 from gms_flex_control.design.motions import below_break_away, Candidate, candidates, QUICK
 from gms_flex_control.design.plan import clipped, PACES
-from gms_flex_control.design.separation import DRAWS, Loop, stops_within, two_sigma
+from gms_flex_control.design.separation import DRAWS, PlannedLoop, stops_within, two_sigma
 from gms_flex_control.discrepancy.fitting import informative
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
@@ -49,7 +49,7 @@ _MEASURED_BY = {'constant_velocity': ('level', 'velocity', 'viscous'), 'break_aw
                 'presliding': ('blocks',), 'sliding': ('attraction',)}
 
 
-class Worth(NamedTuple):
+class MotionWorth(NamedTuple):
     """What one motion is expected to determine."""
 
     candidate: Candidate | None  # None is the recordings so far
@@ -84,12 +84,12 @@ class Determination:
 
     missing: tuple        # of str: what was not identified
     experiments: Experiments | None  # that measure some of it, if there are any within limits
-    before: Worth         # with the recordings so far
-    compared: tuple       # of Worth, the best first
+    before: MotionWorth         # with the recordings so far
+    compared: tuple       # of MotionWorth, the best first
     duration: float       # [s]
 
     @property
-    def best(self) -> Worth:
+    def best(self) -> MotionWorth:
         """Return the motion chosen."""
         return self.compared[0]
 
@@ -147,8 +147,8 @@ def plan_determination(robot: RobotParams, recordings: Sequence[Recording],
     """
     say('information in the recordings so far')
     so_far = _information(recordings, robot, missing)
-    loop = Loop(clipped(gains, limits), limits, period, (), (robot, *so_far.drawn(robot)),
-                recordings[-1].operation.load)
+    loop = PlannedLoop(clipped(gains, limits), limits, period, (), (robot, *so_far.drawn(robot)),
+                       recordings[-1].operation.load)
     experiments = experiments_for(missing, loop.kept, loop.gains, limits)
     found, stuck = [], below_break_away(robot)
     for kind in zip(*(candidates(limits, robot.joints, pace, stuck=stuck) for pace in PACES),
@@ -235,14 +235,14 @@ class _Information(NamedTuple):
         return [with_nuisances(robot, self.nuisances, self.sd * two_sigma(covariance, rng))
                 for _ in range(DRAWS)]
 
-    def worth(self, candidate=None) -> Worth:
-        """Return the Worth for what is not identified, the others known within their priors."""
+    def worth(self, candidate=None) -> MotionWorth:
+        """Return the MotionWorth for what is not identified, others known within their priors."""
         at = list(self.wanted)
         prior = np.ones(len(self.matrix))
         prior[at] = _NOTHING_KNOWN
         covariance = np.linalg.inv(self.matrix + np.diag(prior))[np.ix_(at, at)]
-        return Worth(candidate, -float(np.linalg.slogdet(covariance)[1]),
-                     np.sqrt(np.diag(covariance)) * self.sd[at])
+        return MotionWorth(candidate, -float(np.linalg.slogdet(covariance)[1]),
+                           np.sqrt(np.diag(covariance)) * self.sd[at])
 
 
 def _information(recordings, robot, missing):

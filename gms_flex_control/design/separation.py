@@ -199,7 +199,7 @@ def _begun(likelihood, dictionary, model, columns, left):
         f'{effect} of {joint}' for effect, joint in sorted(left)) + '; leave it out')
 
 
-class Loop(NamedTuple):
+class PlannedLoop(NamedTuple):
     """The closed loop in which robots of the hypotheses are simulated."""
 
     gains: ControllerParams   # of the controller, which believes the robot as believed
@@ -223,7 +223,7 @@ class Loop(NamedTuple):
             return False
 
 
-class Recorded(NamedTuple):
+class RecordedReference(NamedTuple):
     """The reference of a recording, as a motion."""
 
     name: str
@@ -236,12 +236,12 @@ class Recorded(NamedTuple):
 
 
 def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period: float
-            ) -> Loop:
-    """Return the Loop, with hypotheses as fitted and two deviations off that recordings allow."""
+            ) -> PlannedLoop:
+    """Return the PlannedLoop, with hypotheses as fitted and two deviations off."""
     rng, so_far, believed = np.random.default_rng(0), beliefs.likelihood, beliefs.robot
     fitted = tuple(one.robot(so_far) for one in beliefs.hypotheses)
     drawn = [one.robot(so_far, rng) for one in beliefs.hypotheses for _ in range(DRAWS)]
-    loop = Loop(gains, limits, period, fitted, (), beliefs.recordings[-1].operation.load)
+    loop = PlannedLoop(gains, limits, period, fitted, (), beliefs.recordings[-1].operation.load)
     driven = [(loop._replace(load=one.operation.load), recorded_motion(one))
               for one in beliefs.recordings
               if np.isfinite(one.reference[:, 0]).all(axis=1).sum() > _THINNED]
@@ -249,15 +249,15 @@ def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period
         then.keeps(robot, believed, motion, motion.reference.end) for then, motion in driven))))
 
 
-def recorded_motion(recording: Recording) -> Recorded:
+def recorded_motion(recording: Recording) -> RecordedReference:
     """Return the motion through every tenth row of a recorded reference (T, 5, n)."""
     known = np.flatnonzero(np.isfinite(recording.reference[:, 0]).all(axis=1))[::_THINNED]
-    return Recorded(recording.source, builders.through(
+    return RecordedReference(recording.source, builders.through(
         recording.time[known] - recording.time[known[0]], recording.reference[known]))
 
 
-def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loop, seed: int = 0
-              ) -> Prediction | None:
+def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: PlannedLoop,
+              seed: int = 0) -> Prediction | None:
     """Return how far a motion of ``duration`` [s] is expected to separate each pair, or None."""
     so_far, count = beliefs.likelihood, len(beliefs.hypotheses)
     if not (stops_within(candidate, beliefs.robot.joints, duration, loop.limits)

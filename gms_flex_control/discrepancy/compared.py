@@ -95,7 +95,7 @@ def free_runs_of(behind, holdout) -> FreeRuns:
     return FreeRuns(motion, time.ravel(), *errors)
 
 
-class Segment(NamedTuple):
+class ReferenceSegment(NamedTuple):
     """The longest part of a recording that has a reference, evenly sampled."""
 
     source: str
@@ -128,9 +128,9 @@ class ClosedLoop(NamedTuple):
     course_after: np.ndarray    # (T, n) [rad]
 
 
-def segment_of(recording) -> Segment:
+def segment_of(recording) -> ReferenceSegment:
     """
-    Return the Segment of a Recording of a robot under the cascade controller.
+    Return the ReferenceSegment of a Recording of a robot under the cascade controller.
 
     BagError if it has no reference, or no link angles with it, for `LEAST_TIME` on end.
     """
@@ -151,8 +151,9 @@ def segment_of(recording) -> Segment:
     reference, measured = recording.reference[rows], recording.q_link[rows]
     if np.abs(time - grid).max() > _EVEN * period:
         reference, measured = (_resampled(grid, time, values) for values in (reference, measured))
-    return Segment(recording.source, float(time[0]), round(1e9 * period), reference, measured,
-                   recording.q_motor[rows.start], recording.supply_at(grid))
+    return ReferenceSegment(
+        recording.source, float(time[0]), round(1e9 * period), reference, measured,
+        recording.q_motor[rows.start], recording.supply_at(grid))
 
 
 def _resampled(grid, time, values):

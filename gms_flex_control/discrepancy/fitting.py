@@ -68,7 +68,7 @@ def solve(gram, right, lower, upper) -> np.ndarray:
     return np.clip(x * scale, *bounds)
 
 
-class Number(NamedTuple):
+class EffectParameter(NamedTuple):
     """One parameter of one effect that a fit moves."""
 
     effect: int
@@ -82,7 +82,7 @@ class Number(NamedTuple):
 
 
 def numbers_of(likelihood, robot, first=None) -> list:
-    """Return the Numbers of all effects of a robot from the ``first`` on, default the added."""
+    """Return the EffectParameters of a robot from the ``first`` effect on, default the added."""
     numbers = []
     first = likelihood.known if first is None else first
     for i, spec in enumerate(robot.effects[first:], start=first):
@@ -96,8 +96,8 @@ def numbers_of(likelihood, robot, first=None) -> list:
             step = angle or _STEP * max(abs(value), _LEAST * (typical[k] or 1.0))
             sd = typical[k] or (_PHASE_SD if parameter.unit == 'rad' and angle
                                 else max(abs(value), 1e-9))
-            numbers.append(Number(i, k, step, (_ANGLE_REACH if angle else _REACH) * step,
-                                  lower, upper, sd, typical[k] is not None))
+            numbers.append(EffectParameter(i, k, step, (_ANGLE_REACH if angle else _REACH) * step,
+                                           lower, upper, sd, typical[k] is not None))
     return numbers
 
 
@@ -148,7 +148,7 @@ def effect_columns(likelihood, model, numbers) -> np.ndarray:
     return likelihood.each(column, range(len(numbers))).reshape(len(numbers), len(model.rows))
 
 
-class Prior(NamedTuple):
+class FreePriors(NamedTuple):
     """The priors of all C numbers that are free, and where a model is in them."""
 
     pull: np.ndarray     # (C,) inverse variance, 0 where zero is not the likeliest value
@@ -157,12 +157,12 @@ class Prior(NamedTuple):
     values: np.ndarray   # (C,) nuisance parameters, then numbers of effects
 
 
-def prior_of(likelihood, model, numbers=None) -> Prior:
-    """Return the Prior of a Fitted."""
+def prior_of(likelihood, model, numbers=None) -> FreePriors:
+    """Return the FreePriors of a Fitted."""
     numbers = numbers_of(likelihood, model.robot) if numbers is None else numbers
     sd = np.concatenate([likelihood.sd, [one.sd for one in numbers]])
     centred = np.concatenate([np.ones(len(model.x)), [float(one.centred) for one in numbers]])
-    return Prior(centred / sd ** 2, sd, np.concatenate(
+    return FreePriors(centred / sd ** 2, sd, np.concatenate(
         [~likelihood.resting(model.robot), np.ones(len(numbers), dtype=bool)]),
         np.concatenate([model.x, values_of(model.robot, numbers)]))
 
@@ -310,7 +310,7 @@ def _descended(likelihood, model, columns, first, plausible, iterations):
 
 
 def prior_cost(model, numbers) -> float:
-    """Return -2 log prior of the sizes of a model's effects, their Numbers."""
+    """Return -2 log prior of the sizes of a model's effects, its EffectParameters."""
     values = values_of(model.robot, numbers)
     return float(sum((value / one.sd) ** 2 for value, one in zip(values, numbers, strict=True)
                      if one.centred))

@@ -20,7 +20,7 @@ from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage, Term
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.output import with_friction_of
 from gms_flex_control.params.key import SMALLEST
 from gms_flex_control.params.robot import RobotParams, with_effects
@@ -148,5 +148,5 @@ def _acted_on(found, robot, before, beside):
 def _identified(recordings, robot, beside, widened, joints):
     """Return a robot with friction of ``joints`` (str), and its sd, as found beside effects."""
     found = identify(recordings, with_effects(robot, *beside),
-                     options=Options(widened=widened, joints=joints))
+                     options=IdentifyOptions(widened=widened, joints=joints))
     return with_friction_of(robot, found)

@@ -15,7 +15,7 @@ from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import even_time, held, held_torque, resampled
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification import sampling_checks
-from gms_flex_control.identification.check_basis import absent_joints, Finding
+from gms_flex_control.identification.check_basis import absent_joints, Fault
 from gms_flex_control.identification.recording_checks import check
 from gms_flex_control.identification.unseen_links import unseen_links, with_links
 from gms_flex_control.params.arm import at_last_link, Body, carrying, why_not_carried
@@ -137,23 +137,23 @@ _OF_TORQUE = ('swapped_torques', 'swapped_sides', 'torque_sign', 'torque_scale',
 
 
 def faults_of(recordings, robot) -> list:
-    """Return the findings of `recording_checks` in what equations will use, the worst first."""
-    found = [finding for recording in recordings for finding in _faults(recording, robot)]
-    return sorted(found, key=lambda finding: finding.severity != 'refuse')
+    """Return the faults of `recording_checks` in what equations will use, the worst first."""
+    found = [fault for recording in recordings for fault in _faults(recording, robot)]
+    return sorted(found, key=lambda fault: fault.severity != 'refuse')
 
 
 def _faults(recording, robot):
-    """Return the findings of one recording."""
+    """Return the faults of one recording."""
     absent = absent_joints(recording, robot)
     if absent:
         return absent
     recording = recording.of_joints(robot.joints)
     timing = [*sampling_checks.length(recording), *sampling_checks.clock(recording)]
-    if any(finding.severity == 'refuse' for finding in timing):
+    if any(fault.severity == 'refuse' for fault in timing):
         return timing  # nothing can be computed along such a time
     torque = recording.command if recording.has_commands else recording.tau_motor[2:]
     if np.isfinite(torque).all() and not np.ptp(torque, axis=0).any():
-        return [Finding('missing', '', 'refuse', (
+        return [Fault('missing', '', 'refuse', (
             f'{recording.source}: no torque ever changes, as where a driver reports none; record '
             'efforts or commands (a robot that nothing drives: --force)'))]
     recording = with_links(recording, robot)
@@ -170,21 +170,20 @@ def _faults(recording, robot):
                  if not known]
     # a command is all that was asked for, clipped or not
     checked = _with_commands(recording, commanded)
-    found = [finding for finding in check(checked, robot)
-             if finding.kind != 'saturated' or finding.joint not in commanded]
+    found = [fault for fault in check(checked, robot)
+             if fault.kind != 'saturated' or fault.joint not in commanded]
     return found + _of_commands(checked, robot, found)
 
 
 def _of_commands(recording, robot, found):
-    """Return findings of commands that stand beside efforts and are not among those ``found``."""
+    """Return faults of commands that stand beside efforts and are not among those ``found``."""
     other = _with_commands(recording, recording.joints)
     if np.array_equal(other.tau_motor, recording.tau_motor, equal_nan=True):
         return []  # looked over already
-    named = {(finding.kind, finding.joint) for finding in found}
-    return [finding._replace(text=f'{finding.text} (of its torque commands, which the equations '
-                             'take)')
-            for finding in check(other, robot)
-            if finding.kind in _OF_TORQUE and (finding.kind, finding.joint) not in named]
+    named = {(fault.kind, fault.joint) for fault in found}
+    return [fault._replace(text=f'{fault.text} (of its torque commands, which the equations take)')
+            for fault in check(other, robot)
+            if fault.kind in _OF_TORQUE and (fault.kind, fault.joint) not in named]
 
 
 def _with_commands(recording, joints):

@@ -55,7 +55,7 @@ _SIZES = 4            # of sets that may predict better than the one found, or b
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class SearchOptions:
     """How the workflow goes about it."""
 
     most: int = 20       # effects that may be found
@@ -66,8 +66,8 @@ class Options:
 
 
 def find_discrepancy(
-        recordings: Sequence[Recording], robot: RobotParams, options: Options | None = None, *,
-        holdout: Sequence[Recording] = (),
+        recordings: Sequence[Recording], robot: RobotParams,
+        options: SearchOptions | None = None, *, holdout: Sequence[Recording] = (),
         say: Callable[[str], object] = lambda text: None) -> Discrepancy:
     """
     Find what a robot as believed lacks to explain its recordings, as a Discrepancy.
@@ -76,12 +76,12 @@ def find_discrepancy(
     ``holdout``, default blocks of time left out in turn; ``say`` hears what is being done.
     BagError if a recording lacks what the equations need, and is not refused as bad data.
     """
-    begun, options = time.monotonic(), options or Options()
+    begun, options = time.monotonic(), options or SearchOptions()
     sources = tuple(recording.source for recording in recordings)
     say('checking the data')
-    findings = faults_of((*recordings, *holdout), robot)
-    faults = tuple(finding.text for finding in findings)
-    fatal = [finding.text for finding in findings if finding.severity == 'refuse']
+    faults = faults_of((*recordings, *holdout), robot)
+    words = tuple(fault.text for fault in faults)
+    fatal = [fault.text for fault in faults if fault.severity == 'refuse']
     if fatal and not options.force:
         result = Discrepancy(verdict=BAD_DATA, words=describe.of_faults(fatal))
     else:
@@ -92,10 +92,10 @@ def find_discrepancy(
                                   widened(robot, options.widened), options, say)
             return replace(found, robot=replace(found.robot, uncertainty=robot.uncertainty))
         result = with_friction_anew(searched, recordings, robot, options.widened, say)
-        if faults:
-            result = result.saying(f'About the data: {describe.first_of(faults, 2)}')
+        if words:
+            result = result.saying(f'About the data: {describe.first_of(words, 2)}')
     return replace(
-        result, data=result.data._replace(faults=faults, sources=sources, currents=any(
+        result, data=result.data._replace(faults=words, sources=sources, currents=any(
             recording.has_currents for recording in recordings)),
         searched=result.searched._replace(seconds=time.monotonic() - begun))
 

@@ -47,7 +47,7 @@ _DESCRIBED_SD = 0.5  # of the logarithm of a scale, around what the masses descr
 _ALIKE_SD = 1.0    # and of scales of the joints of one arm, around each other
 
 
-class Rows(NamedTuple):
+class ArmSamples(NamedTuple):
     """Samples of all recordings."""
 
     regressor: np.ndarray  # (S, n, B)
@@ -68,7 +68,7 @@ class Rows(NamedTuple):
 def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None,
             slips=SLIPS) -> tuple:
     """
-    Return Rows of recordings, ``friction`` (T, n) subtracted, and usual rates; or a refusal.
+    Return ArmSamples of recordings, ``friction`` (T, n) subtracted, and usual rates; or a refusal.
 
     ``slips`` are ways after which blocks slip, at the usual rate [s].
     """
@@ -94,11 +94,11 @@ def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None,
         raise IdentificationError(
             f'{recordings[min(short)].source}: its pieces without a gap are too short for the '
             'filter of the regression; record longer')
-    return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True))), usual
+    return ArmSamples(*(np.concatenate(part) for part in zip(*parts, strict=True))), usual
 
 
 def _segment_rows(segment, arm, lead, recording, ways, motors, slopes_of):
-    """Return what Rows has of a segment, blocks from 0; None of one too short for the low-pass."""
+    """Return what ArmSamples has of a segment, blocks from 0; None of one too short."""
     every = 2 * (segment.window // (2 * _THINNING)) + 1
     window = max(max(segment.window, round(_SMOOTHED / recording.period)) // every, 1)
     motion, torque = _differences(segment, every, recording.period)
@@ -215,8 +215,8 @@ def _weighted(values, every):
     return values[::every][1:-1]
 
 
-def described_scales(rows: Rows, described: np.ndarray, own: Callable, unknown: Sequence[int],
-                     names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def described_scales(rows: ArmSamples, described: np.ndarray, own: Callable,
+                     unknown: Sequence[int], names: Sequence[str]) -> tuple:
     """
     Return what is recorded per true torque, and the prior deviations of its logarithm, (U,) each.
 

@@ -68,7 +68,7 @@ _EXPLAINED = 0.9   # of the torque's variance, for stiffness and motor inertia t
 _SMALLEST = 0.005  # of the torque: a smaller part may be what the model lacks
 
 
-class Rows(NamedTuple):
+class AxisSamples(NamedTuple):
     """Filtered samples of one axis."""
 
     angle: np.ndarray         # (S,) [rad]
@@ -142,17 +142,17 @@ def filtered(recordings: Sequence, signals_of: Callable, wider: int = 1) -> Gene
             yield signals, block
 
 
-def rows_of(recordings: Sequence, drive: Callable, joint: int, wider: int = 1) -> Rows:
-    """Return `filtered` Rows of one axis, moving or not, ``drive`` Recording -> torque (T,)."""
+def rows_of(recordings: Sequence, drive: Callable, joint: int, wider: int = 1) -> AxisSamples:
+    """Return `filtered` AxisSamples, moving or not, ``drive`` Recording -> torque (T,)."""
     parts = [(motion.value, motion.first, motion.second, torque.value, block)
              for (motion, torque), block in filtered(recordings, lambda one: (
                  [one.q_link[:, joint]], [drive(one)]), wider)]
     if not parts:
         raise IdentificationError('no recording is long enough to identify the inertia')
-    return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True)), wider)
+    return AxisSamples(*(np.concatenate(part) for part in zip(*parts, strict=True)), wider)
 
 
-def rows_that_agree(recordings: Sequence, drive: Callable, joint: int, turns: bool) -> Rows:
+def rows_that_agree(recordings: Sequence, drive: Callable, joint: int, turns: bool) -> AxisSamples:
     """
     Return `rows_of` behind the least filter whose inertia a wider one confirms.
 
@@ -221,11 +221,11 @@ class _Model(NamedTuple):
     off: float    # robust error on data held out [N m]
 
 
-def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None,
+def fit_axis(rows: AxisSamples, joint: str, source: str, wave: np.ndarray | None = None,
              turns: bool = True) -> AxisFit:
     """Fit inertia and, where it ``turns``, gravity of an axis, beside the ``wave`` of a ripple."""
     moving = _moving(rows, joint, source)
-    rows = Rows(*(part[moving] for part in rows[:-1]))
+    rows = AxisSamples(*(part[moving] for part in rows[:-1]))
     model = _model(rows, np.empty((len(rows.rate), 0)) if wave is None else wave[moving], turns)
     values, error = solution(model.columns, rows.torque, rows.block)
     known = values[0] > CONFIDENT * error[0]
@@ -366,7 +366,7 @@ def _levels(friction, rate):
             if (np.sign(rate) == sign).any() else 0.0 for sign in (1.0, -1.0)]
 
 
-def fit_axis_with_ripple(recordings: Sequence, rows: Rows, joint: int, name: str,
+def fit_axis_with_ripple(recordings: Sequence, rows: AxisSamples, joint: int, name: str,
                          source: str, turns: bool = True) -> tuple:
     """Return `fit_axis` with its largest Ripple, and that, None where none helps held-out data."""
     axis, span = fit_axis(rows, name, source, turns=turns), float(np.ptp(rows.angle))

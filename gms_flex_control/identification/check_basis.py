@@ -1,6 +1,6 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
-What the checks of a recording share: limits, findings, and filtered motion against its torque.
+What the checks of a recording share: limits, faults, and filtered motion against its torque.
 
 A share is one of all samples unless it says otherwise. Where no origin is given, a limit was
 chosen on recordings with injected faults (docs/data_checks.md), between healthy and faulty ones.
@@ -68,7 +68,7 @@ SIDE_FACTOR = 8.0               # torque of the spring over that of the motor th
 SIDE_SLOPE, SIDE_FIT = (0.5, 2.0), 0.9     # motor angle over link angle, correlation
 
 
-class Finding(NamedTuple):
+class Fault(NamedTuple):
     """One fault of a recording."""
 
     kind: str      # see recording_checks
@@ -85,18 +85,18 @@ def sides(recording: Recording, joint: int) -> Iterator[tuple[str, np.ndarray, n
             yield name, q[:, joint], dq[:, joint]
 
 
-def absent_joints(recording: Recording, robot: RobotParams) -> list[Finding]:
-    """Return a finding for the first joint of a robot that a Recording lacks."""
+def absent_joints(recording: Recording, robot: RobotParams) -> list[Fault]:
+    """Return a fault for the first joint of a robot that a Recording lacks."""
     for joint in robot.joints:
         if joint not in recording.joints:
-            return [Finding('joint_names', joint, 'refuse', (
+            return [Fault('joint_names', joint, 'refuse', (
                 f'{recording.source}: has no joint {joint!r}, it has '
                 f'{", ".join(recording.joints)}; use the names of the recording in the robot '
                 'file, or choose its joints when it is read'))]
     return []
 
 
-class Motion(NamedTuple):
+class FilteredChannels(NamedTuple):
     """Filtered channels of all joints, arrays (S, n), on the rows without gaps."""
 
     q_link: np.ndarray
@@ -109,8 +109,8 @@ class Motion(NamedTuple):
     moved: np.ndarray  # (n,), joints that move far enough for their torque to be judged
 
 
-def filtered(signals: Recording, robot: RobotParams) -> Motion:
-    """Return the Motion of a recording."""
+def filtered(signals: Recording, robot: RobotParams) -> FilteredChannels:
+    """Return the FilteredChannels of a recording."""
     window = max(analysis.derivative_window(signals.time, q) for q in signals.q_link.T)
     sides = [signals.q_link.T, np.where(robot.arm.rigid, signals.q_link, signals.q_motor).T,
              signals.tau_motor.T]
@@ -133,8 +133,8 @@ def filtered(signals: Recording, robot: RobotParams) -> Motion:
     torque[:, unknown] = np.nan
     moved = [len(at) and np.ptp(part.value) > TRAVEL * analysis.quantum(q)
              for part, q in zip(link, signals.q_link.T, strict=True)]
-    result = Motion(*(np.stack(column, axis=1) for column in columns), torque,
-                    np.array(moved, dtype=bool))
+    result = FilteredChannels(*(np.stack(column, axis=1) for column in columns), torque,
+                              np.array(moved, dtype=bool))
     blind = ~np.isfinite(sides[1]).any(axis=1)
     for values in result[3:6]:
         values[:, blind] = np.nan

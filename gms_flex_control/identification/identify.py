@@ -25,7 +25,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class IdentifyOptions:
     """How to identify."""
 
     estimate: str = 'friction'   # 'all': inertia, gravity, stiffness, motor inertia as well
@@ -36,7 +36,7 @@ class Options:
 
 
 def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
-             options: Options | None = None,
+             options: IdentifyOptions | None = None,
              say: Callable[[str], object] | None = None) -> Identification:
     """
     Identify the friction of a robot.
@@ -50,7 +50,7 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         `uncertainty` says, its friction is to be found.
     holdouts : sequence of Recording or (Recording, sequence of Phase)
         Recordings to predict only; by default blocks of time are held out.
-    options : Options, optional
+    options : IdentifyOptions, optional
         How.
     say : callable, optional
         Called with what is being done.
@@ -65,7 +65,8 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         If the data do not identify the friction, or would bias it; the sentence says why.
 
     """
-    begin, options, say = time.monotonic(), options or Options(), say or (lambda text: None)
+    begin, options = time.monotonic(), options or IdentifyOptions()
+    say = say or (lambda text: None)
     recordings, holdouts = ([one if isinstance(one, tuple) else (one, ()) for one in several]
                             for several in (recordings, holdouts))
     identities = tuple(one.identity for one, _ in recordings)

@@ -62,7 +62,7 @@ class FrictionMap(NamedTuple):
     steady: np.ndarray    # (W,) bool, the velocity hardly changes
 
 
-class Loop(NamedTuple):
+class PreslidingLoop(NamedTuple):
     """One piece of presliding motion: torque over displacement, measured and of the model."""
 
     displacement: np.ndarray  # (L,) [rad], measured
@@ -82,7 +82,7 @@ class Trace(NamedTuple):
     label: str
 
 
-class HeldOut(NamedTuple):
+class HeldOutErrors(NamedTuple):
     """Errors on data that had no part in the fit."""
 
     torque_rms: float              # of the drive torque, while moving if encoders count [N m]
@@ -97,7 +97,7 @@ class HeldOut(NamedTuple):
     bandwidth: float = float('nan')  # below which torques are compared [Hz]
 
 
-class Candidate(NamedTuple):
+class BlockCandidate(NamedTuple):
     """One number of blocks that was tried."""
 
     n_blocks: int
@@ -118,10 +118,10 @@ class JointResult:
     friction_map: FrictionMap    # measured
     steady_velocity: np.ndarray  # (V,), both signs [rad/s]
     steady_torque: np.ndarray    # (V,), fitted curve of Eq. (6) [N m]
-    loops: tuple                 # of Loop, presliding, for Fig. 4
+    loops: tuple                 # of PreslidingLoop, presliding, for Fig. 4
     traces: tuple                # of Trace, sliding and other motion
-    candidates: tuple            # of Candidate, numbers of blocks that were tried
-    held_out: HeldOut
+    candidates: tuple            # of BlockCandidate, numbers of blocks that were tried
+    held_out: HeldOutErrors
     warnings: tuple              # sentences
 
 
@@ -201,7 +201,7 @@ def span(interval: Interval) -> str:
     return f'{number(low)} .. {number(high)}'
 
 
-def floor_shares(held_out: HeldOut) -> tuple[float, float]:
+def floor_shares(held_out: HeldOutErrors) -> tuple[float, float]:
     """Return noise floor and repeatability relative to the drive torque, NaN where unknown."""
     known = held_out.relative > 0.0 and held_out.torque_rms > 0.0
     share = held_out.relative / held_out.torque_rms if known else np.nan

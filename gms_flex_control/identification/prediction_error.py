@@ -13,7 +13,7 @@ from gms_flex_control.data.signal_analysis import low_pass, low_pass_bandwidth, 
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.objective import Objective
-from gms_flex_control.identification.outcome import HeldOut, Loop, Trace
+from gms_flex_control.identification.outcome import HeldOutErrors, PreslidingLoop, Trace
 from gms_flex_control.identification.segments import standing
 import numpy as np
 
@@ -97,9 +97,9 @@ def free_run_squares(objective: Objective, theta: np.ndarray, chosen: Callable) 
 
 
 def held_out_errors(objective: Objective, theta: np.ndarray, simple: np.ndarray,
-                    chosen: Callable, step: float, repeatability: float) -> HeldOut:
+                    chosen: Callable, step: float, repeatability: float) -> HeldOutErrors:
     """
-    Return the HeldOut errors of one joint.
+    Return the HeldOutErrors of one joint.
 
     ``theta`` and ``simple`` (Coulomb and viscous friction with one stiff block) are fitted
     without the samples that are ``chosen``; ``step`` is the encoder step or noise [rad],
@@ -124,7 +124,7 @@ def held_out_errors(objective: Objective, theta: np.ndarray, simple: np.ndarray,
     off, plain, torque, noise, innovations = (
         np.concatenate(part) for part in (off, plain, torque, noise, innovations))
     usual = rms(torque)
-    return HeldOut(
+    return HeldOutErrors(
         torque_rms=rms(off), relative=rms(off) / usual, coulomb_viscous=rms(plain) / usual,
         free_run_rms=free_run_error(objective, theta, chosen),
         free_run_coulomb_viscous=free_run_error(objective, simple, chosen),
@@ -190,14 +190,14 @@ def presliding_reach(objective: Objective, theta: np.ndarray) -> float:
 
 
 def loops_of(objective: Objective, theta: np.ndarray) -> tuple:
-    """Return at most six hysteresis Loops (Fig. 4) of the joint, of the largest torque."""
+    """Return at most six PreslidingLoops (Fig. 4) of the joint, of the largest torque."""
     joint, loops = objective.joint, []
     for segment, torque, parts in _presliding(objective, theta):
         predicted = objective.predict(segment, theta)[0] if parts else None
         for rows in parts:
             thin = slice(rows.start, rows.stop, max(1, (rows.stop - rows.start) // _LONGEST_LOOP))
             origin = np.nanmean(segment.angle[rows, joint])
-            loops.append(Loop(
+            loops.append(PreslidingLoop(
                 segment.angle[thin, joint] - origin, torque[thin], predicted[thin] - origin,
                 f'{segment.source}, {segment.begin + rows.start * objective.bundle.period:.1f} s'))
     loops.sort(key=lambda loop: -np.nanmax(np.abs(loop.torque)))

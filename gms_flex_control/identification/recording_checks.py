@@ -36,14 +36,14 @@ from gms_flex_control.data.signal_analysis import friction_columns, is_moving, q
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification import check_basis as limits
 from gms_flex_control.identification import sampling_checks
-from gms_flex_control.identification.check_basis import absent_joints, Balance, Finding, spring_fit
+from gms_flex_control.identification.check_basis import absent_joints, Balance, Fault, spring_fit
 from gms_flex_control.params.arm import carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 
-def saturated(signals: Recording) -> list[Finding]:
-    """Return findings of torques that stay at their extreme while the joint moves."""
+def saturated(signals: Recording) -> list[Fault]:
+    """Return faults of torques that stay at their extreme while the joint moves."""
     found = []
     for j, joint in enumerate(signals.joints):
         tau, q = signals.tau_motor[:, j], signals.q_link[:, j]
@@ -60,7 +60,7 @@ def saturated(signals: Recording) -> list[Finding]:
         share = np.sum(clipped & moving) / max(np.sum(moving), 1)
         if share >= limits.CLIPPED_WARN:
             limit = np.abs(tau[clipped]).max()
-            found.append(Finding(
+            found.append(Fault(
                 'saturated', joint, 'refuse' if share > limits.CLIPPED_REFUSE else 'warn',
                 f'{signals.source}: the torque of {joint} is clipped at {limit:.4g} N m in '
                 f'{100 * share:.2g} % of the moving samples, so it may have been larger '
@@ -93,7 +93,7 @@ def _at_an_extreme(tau):
                       < limits.CLIP_ALONE * np.sum(clipped))
 
 
-def physics(signals: Recording, robot: RobotParams, rough: bool) -> list[Finding]:
+def physics(signals: Recording, robot: RobotParams, rough: bool) -> list[Fault]:
     """
     Compare torque, sides and joints with the equations of motion.
 
@@ -116,7 +116,7 @@ def _directions(balance):
         name = balance.joints[j]
         if spring < 0 and driven >= 0:
             proviso = '' if driven > 0 else ', unless the sign of its torque is reversed'
-            found.append(Finding(
+            found.append(Fault(
                 'swapped_sides', name, 'refuse', f'{balance.source}: motor and link of {name} '
                 'seem exchanged: its torque fits the spring between them only the other way '
                 f'round{proviso}; exchange the two names'))
@@ -125,7 +125,7 @@ def _directions(balance):
             gravity = ', or the gravity of the robot file' if balance.arm.gravity.any() else ''
             braked = ('. A joint that others move while its drive brakes looks alike: then go on '
                       'with --force' if len(balance.joints) > 1 else '')
-            found.append(Finding(
+            found.append(Fault(
                 'torque_sign', name, 'refuse', f'{balance.source}: the torque of {name} has the '
                 'wrong sign: only reversed does it accelerate the joint and overcome '
                 f'friction{also}; reverse it, or the angles{gravity}{braked}'))
@@ -165,9 +165,9 @@ def _spring_sign(balance, j):
 
 def _scales(balance, rough):
     """Find torques off by a factor."""
-    found = [finding for j in balance.driven for finding in (
+    found = [fault for j in balance.driven for fault in (
         _spring_scale if j in balance.springs else _inertia_scale)(balance, j)]
-    return [finding._replace(severity='warn') for finding in found] if rough else found
+    return [fault._replace(severity='warn') for fault in found] if rough else found
 
 
 def _spring_scale(balance, j):
@@ -192,11 +192,11 @@ def _spring_scale(balance, j):
     if _fits_where_small(tau, motion.ddq_motor[:, j], torsion, stiffness):
         return  # drives that give but a part of what is asked of them
     middle = float(np.median(ratios))
-    yield Finding('torque_scale', name, 'refuse', f'{balance.source}: the torque '
-                  f'of {name} is {middle:.3g} times what its torsion and a stiffness '
-                  f'of {stiffness:.4g} N m/rad make; give the torque in N m at the joint (unit, '
-                  'gear ratio), or its torque constant in recording.yaml, or correct the '
-                  'stiffness')
+    yield Fault('torque_scale', name, 'refuse', f'{balance.source}: the torque '
+                f'of {name} is {middle:.3g} times what its torsion and a stiffness '
+                f'of {stiffness:.4g} N m/rad make; give the torque in N m at the joint (unit, '
+                'gear ratio), or its torque constant in recording.yaml, or correct the '
+                'stiffness')
 
 
 def _fits_where_small(tau, ddq_motor, torsion, stiffness):
@@ -227,11 +227,11 @@ def _inertia_scale(balance, j):
     factor = max(ratio, 1.0 / ratio) if ratio > 0.0 else np.inf
     refused = limits.SCALE_SLIGHT if friction > limits.NEARLY_ALL else limits.SCALE_INERTIA[1]
     if factor > limits.SCALE_INERTIA[0]:
-        yield Finding('torque_scale', name, 'refuse' if factor > refused else 'warn',
-                      f'{balance.source}: the torque of {name} is {ratio:.3g} '
-                      "times what the robot's inertia and gravity need; give the torque in N m "
-                      'at the joint (unit, gear ratio), or its torque constant in recording.yaml, '
-                      'or correct the inertia')
+        yield Fault('torque_scale', name, 'refuse' if factor > refused else 'warn',
+                    f'{balance.source}: the torque of {name} is {ratio:.3g} '
+                    "times what the robot's inertia and gravity need; give the torque in N m "
+                    'at the joint (unit, gear ratio), or its torque constant in recording.yaml, '
+                    'or correct the inertia')
 
 
 def _unexplained(balance):
@@ -243,7 +243,7 @@ def _unexplained(balance):
         if j in balance.springs:
             shares.append(balance.spring_share(tau, j))
         if shares and max(shares) < limits.UNEXPLAINED:
-            found.append(Finding(
+            found.append(Fault(
                 'unexplained', name, 'warn', f'{balance.source}: inertia, gravity, '
                 f'spring and friction explain {100 * max(shares):.0f} % of the torque of '
                 f'{name}; is it the torque of this joint, at the time of its '
@@ -265,7 +265,7 @@ def _side_scales(balance):
             np.log(abs(slope) + 1e-12)) > np.log(limits.SIDE_SLOPE_ALONE)
         low, high = limits.SIDE_SLOPE
         if abs(fit) > limits.SIDE_FIT and not low < slope < high and (torn or slope < 0.0):
-            found.append(Finding(
+            found.append(Fault(
                 'side_scale', balance.joints[j], 'refuse', f'{balance.source}: the motor of '
                 f'{balance.joints[j]} moves {slope:.4g} times as far as its link; give motor '
                 'angles as seen at the joint (divide by the gear ratio, correct the sign)'))
@@ -292,16 +292,16 @@ def _exchanged_torques(balance):
                 and sum(crossed) < limits.EXCHANGED_SHARE * sum(straight)
                 and all(a < b for a, b in zip(crossed, straight, strict=True))):
             first, second = balance.joints[i], balance.joints[j]
-            found.append(Finding(
+            found.append(Fault(
                 'swapped_torques', first, 'refuse', f'{balance.source}: the torques of {first} '
                 f'and {second} seem exchanged: each fits the motion of the other; exchange the '
                 'names in the recording or the robot file'))
     return found
 
 
-def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Finding, ...]:
+def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Fault, ...]:
     """
-    Return the findings of one experiment, faults of time first, since they hide the others.
+    Return the faults of one experiment, faults of time first, since they hide the others.
 
     Of the robot is used which joints are flexible, stiffness within a factor of 4, inertia within
     one of 3, no friction; ``rough`` says that both are placeholders, for instance because they
@@ -313,28 +313,28 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
     signals = recording.of_joints(robot.joints)
     load, load_unknown, _ = signals.operation
     if (load is not None or load_unknown) and robot.arm.frames is None:
-        return (Finding('load', robot.joints[-1], 'refuse', (
+        return (Fault('load', robot.joints[-1], 'refuse', (
             f'{recording.source}: has a load, which needs an arm of a URDF; write the robot file '
             'with arm.kind: urdf, or add the load to its last link')),)
     if recording.coupling is not None and robot.arm.frames is None:
-        return (Finding('coupling', robot.joints[-1], 'refuse', (
+        return (Fault('coupling', robot.joints[-1], 'refuse', (
             f'{recording.source}: has coupled motors, whose friction needs an arm of a URDF; '
             'write the robot file with arm.kind: urdf')),)
     robot = replace(robot, arm=carrying(robot.arm, load))
     found = [*sampling_checks.length(signals), *sampling_checks.clock(signals),
              *sampling_checks.missing(signals, robot)]
-    if any(finding.severity == 'refuse' for finding in found):
+    if any(fault.severity == 'refuse' for fault in found):
         return tuple(found)
     found += sampling_checks.units(signals, robot)
-    if any(finding.kind == 'angle_unit' for finding in found):
+    if any(fault.kind == 'angle_unit' for fault in found):
         return tuple(found)
     found += sampling_checks.broken(signals)
-    if any(finding.kind == 'jump' for finding in found):
+    if any(fault.kind == 'jump' for fault in found):
         return tuple(found)
     found += sampling_checks.motion(signals)
     found += sampling_checks.rates(signals)
     found += saturated(signals)
-    if not any(finding.kind == 'velocity' for finding in found):
+    if not any(fault.kind == 'velocity' for fault in found):
         loose = [joint for joint, sd in zip(signals.joints, signals.scale_sd, strict=True) if sd]
         found += [one for one in physics(signals, robot, rough or bool(loose))
                   if one.kind != 'torque_scale' or one.joint not in loose]
@@ -344,7 +344,7 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
 def require(recording: Recording, robot: RobotParams, force=False, rough=False) -> list:
     """Return warnings of `check`, with ``force`` all; IdentificationError where a fit is wrong."""
     found = check(recording, robot, rough)
-    for finding in found:
-        if finding.severity == 'refuse' and not force:
-            raise IdentificationError(finding.text)
+    for fault in found:
+        if fault.severity == 'refuse' and not force:
+            raise IdentificationError(fault.text)
     return found

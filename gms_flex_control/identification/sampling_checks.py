@@ -4,7 +4,7 @@
 from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import MOTOR_SUFFIX, Recording
 from gms_flex_control.identification import check_basis as limits
-from gms_flex_control.identification.check_basis import Finding, sides
+from gms_flex_control.identification.check_basis import Fault, sides
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -12,30 +12,30 @@ _BESIDE = 5              # samples that give the velocity beside a run of equal 
 _HELD = 0.1              # s, as often a slow source gives a reading: longer ones stand
 
 
-def length(signals: Recording) -> list[Finding]:
-    """Return a finding if the recording is too short."""
+def length(signals: Recording) -> list[Fault]:
+    """Return a fault if the recording is too short."""
     count, duration = len(signals.time), float(signals.time[-1])
     if count >= limits.FEWEST and duration >= limits.SHORT:
         return []
     severity = 'refuse' if count < limits.FEWEST or duration < limits.SHORTEST else 'warn'
-    return [Finding('too_short', '', severity, f'{signals.source}: {count} samples in '
-                    f'{duration:.3g} s are too short to separate friction from inertia; record at '
-                    f'least {limits.SHORT:g} s and {limits.FEWEST} samples, with motion both '
-                    'ways')]
+    return [Fault('too_short', '', severity, f'{signals.source}: {count} samples in '
+                  f'{duration:.3g} s are too short to separate friction from inertia; record at '
+                  f'least {limits.SHORT:g} s and {limits.FEWEST} samples, with motion both '
+                  'ways')]
 
 
-def clock(signals: Recording) -> list[Finding]:
-    """Return findings of the time stamps, kinds 'clock' and 'dropped'."""
+def clock(signals: Recording) -> list[Fault]:
+    """Return faults of the time stamps, kinds 'clock' and 'dropped'."""
     steps, period = np.diff(signals.time), signals.period
     mean = float(np.mean(steps))
     if period < limits.BURST * mean and np.mean(steps > limits.BURST * mean) > limits.BURSTS:
-        return [Finding('clock', '', 'refuse', f'{signals.source}: stamps come in bursts, most '
-                        f'{1e3 * period:.2g} ms or less after the one before, {1e3 * mean:.3g} ms '
-                        'on average: times of receipt; stamp the samples when they are taken '
-                        '(header.stamp)')]
+        return [Fault('clock', '', 'refuse', f'{signals.source}: stamps come in bursts, most '
+                      f'{1e3 * period:.2g} ms or less after the one before, {1e3 * mean:.3g} ms '
+                      'on average: times of receipt; stamp the samples when they are taken '
+                      '(header.stamp)')]
     if not limits.FASTEST <= period <= limits.SLOWEST:
-        return [Finding('clock', '', 'refuse', f'{signals.source}: the median sample period is '
-                        f'{period:.4g} s; are the stamps in another unit than seconds?')]
+        return [Fault('clock', '', 'refuse', f'{signals.source}: the median sample period is '
+                      f'{period:.4g} s; are the stamps in another unit than seconds?')]
     multiple = np.rint(steps / period)
     steady = np.mean((np.abs(steps / period - multiple) < limits.ON_GRID) & (multiple > 0)) > 0.9
     gaps = np.flatnonzero(steps > (1.5 if steady else 1.8) * period)
@@ -48,15 +48,15 @@ def _short_steps(signals, steps, steady):
     near = limits.CLUSTER
     dense = len(short) > near and np.min(short[near:] - short[:-near]) < 5 * near
     if steady and (dense or short.size > max(limits.TOO_SOON_SHARE * len(steps), 2)):
-        yield Finding('clock', '', 'warn', f'{signals.source}: {short.size} stamps follow the '
-                      f'one before too soon, the first at {signals.time[short[0]]:.3f} s; was '
-                      'the clock set back there? If so, cut the recording')
+        yield Fault('clock', '', 'warn', f'{signals.source}: {short.size} stamps follow the '
+                    f'one before too soon, the first at {signals.time[short[0]]:.3f} s; was '
+                    'the clock set back there? If so, cut the recording')
         return
     spread = float(np.subtract(*np.quantile(steps, [0.9, 0.1]))) / signals.period
     if spread > limits.IRREGULAR and not steady:
-        yield Finding('clock', '', 'warn', f'{signals.source}: the sample period is irregular '
-                      f'({spread:.1f} periods between the 10 % and 90 % quantiles); stamp the '
-                      'samples when they are taken')
+        yield Fault('clock', '', 'warn', f'{signals.source}: the sample period is irregular '
+                    f'({spread:.1f} periods between the 10 % and 90 % quantiles); stamp the '
+                    'samples when they are taken')
 
 
 def _lost(signals, steps, gaps):
@@ -72,21 +72,21 @@ def _lost(signals, steps, gaps):
         severity = 'warn'
     else:
         return
-    yield Finding('dropped', '', severity, f'{signals.source}: {lost} samples '
-                  f'({100 * share:.2g} %) are missing in {gaps.size} gaps, the longest '
-                  f'{1e3 * steps[worst]:.4g} ms at {signals.time[worst]:.3f} s; they are '
-                  'bridged only where short: record with less load or a higher priority')
+    yield Fault('dropped', '', severity, f'{signals.source}: {lost} samples '
+                f'({100 * share:.2g} %) are missing in {gaps.size} gaps, the longest '
+                f'{1e3 * steps[worst]:.4g} ms at {signals.time[worst]:.3f} s; they are '
+                'bridged only where short: record with less load or a higher priority')
 
 
-def missing(signals: Recording, robot: RobotParams) -> list[Finding]:
-    """Return findings for numbers that are not there."""
+def missing(signals: Recording, robot: RobotParams) -> list[Fault]:
+    """Return faults for numbers that are not there."""
     found, alone = [], signals.motors_alone
     for j, joint in enumerate(signals.joints):
         flexible = not robot.arm.rigid[j]
         channels = [('link angle', signals.q_link[:, j], True),
                     ('torque', signals.tau_motor[2:, j], not flexible)]
         if flexible and alone[j]:
-            found.append(Finding('missing', joint, 'refuse', (
+            found.append(Fault('missing', joint, 'refuse', (
                 f'{signals.source}: the link angle of {joint} was not recorded, nor a torque '
                 'by which it follows from the motor angle; record either, or describe the joint '
                 f'as rigid, under the name of its motor, {robot.motors[j] or joint + MOTOR_SUFFIX}'
@@ -117,11 +117,11 @@ def _holes(signals, joint, name, values, needed):
                 f'a row, first at {signals.time[lost[0]]:.3f} s; leave that part out')
     else:
         return
-    yield Finding('missing', joint, severity, f'{signals.source}: {text}')
+    yield Fault('missing', joint, severity, f'{signals.source}: {text}')
 
 
-def motion(signals: Recording) -> list[Finding]:
-    """Return findings 'still' and 'one_direction' of joints."""
+def motion(signals: Recording) -> list[Fault]:
+    """Return faults 'still' and 'one_direction' of joints."""
     found, still = [], []
     for j, joint in enumerate(signals.joints):
         q = signals.q_link[:, j]
@@ -140,15 +140,15 @@ def motion(signals: Recording) -> list[Finding]:
     for joint, travel in still:
         moves = (f'never moves (by {travel:.3g} rad at most, which its encoder hardly resolves)'
                  if travel > 0.0 else 'does not move')
-        found.append(Finding(
+        found.append(Fault(
             'still', joint, 'refuse' if len(still) == len(signals.joints) else 'warn',
             f'{signals.source}: {joint} {moves}; none of its parameters can be had from this '
             'recording'))
     return found
 
 
-def units(signals: Recording, robot: RobotParams) -> list[Finding]:
-    """Return a finding for the first joint whose angles fit the limits of a URDF as degrees."""
+def units(signals: Recording, robot: RobotParams) -> list[Fault]:
+    """Return a fault for the first joint whose angles fit the limits of a URDF as degrees."""
     frames = robot.arm.frames
     for j, joint in enumerate(signals.joints if frames else ()):
         most = float(np.nanmax(np.abs(signals.q_link[:, j] + robot.arm.offset[j])))
@@ -156,7 +156,7 @@ def units(signals: Recording, robot: RobotParams) -> list[Finding]:
         if frames.prismatic[j] or not np.isfinite(limit):
             continue
         if most > limits.BEYOND * limit and np.radians(most) < limits.BEYOND * limit:
-            return [Finding('angle_unit', joint, 'refuse', (
+            return [Fault('angle_unit', joint, 'refuse', (
                 f'{signals.source}: {joint} goes to {most:.3g} rad, its limits in the URDF end at '
                 f'{limit:.3g}: its angles look like degrees; record radians, or import them with '
                 'their unit (import-csv)'))]
@@ -169,14 +169,14 @@ def _one_way(source, joint, filtered):
     if min(forward, backward) >= limits.ONE_WAY * max(forward, backward):
         return
     way, other = ('forward', 'backward') if forward > backward else ('backward', 'forward')
-    yield Finding('one_direction', joint, 'warn', f'{source}: {joint} moves {way} only '
-                  f'({max(forward, backward):.3g} rad against {min(forward, backward):.2g}): '
-                  f'friction.{joint}.{other} is not identifiable, nor friction separable from a '
-                  'constant torque; add motion the other way')
+    yield Fault('one_direction', joint, 'warn', f'{source}: {joint} moves {way} only '
+                f'({max(forward, backward):.3g} rad against {min(forward, backward):.2g}): '
+                f'friction.{joint}.{other} is not identifiable, nor friction separable from a '
+                'constant torque; add motion the other way')
 
 
-def rates(signals: Recording) -> list[Finding]:
-    """Return findings of rates that are not the derivative of their angle."""
+def rates(signals: Recording) -> list[Fault]:
+    """Return faults of rates that are not the derivative of their angle."""
     found = []
     for j, joint in enumerate(signals.joints):
         for side, q, dq in sides(signals, j):
@@ -185,7 +185,7 @@ def rates(signals: Recording) -> list[Finding]:
                 continue
             slope, fit = judged
             mild = _within(judged, limits.SLOPE_MILD, limits.SLOPE_MILD_FIT)
-            found.append(Finding(
+            found.append(Fault(
                 'velocity', joint, 'warn' if mild else 'refuse', f'{signals.source}: the {side} '
                 f'velocity of {joint} is not the derivative of its angle but {slope:.3g} times '
                 f'it (correlation {fit:.2f}); correct unit, sign or time, or leave the velocity '
@@ -197,8 +197,8 @@ def _within(judged, slopes, fit):
     return slopes[0] < judged[0] < slopes[1] and judged[1] > fit
 
 
-def broken(signals: Recording) -> list[Finding]:
-    """Return findings of samples that cannot be motion: kinds 'jump' (angle) and 'frozen'."""
+def broken(signals: Recording) -> list[Fault]:
+    """Return faults of samples that cannot be motion: kinds 'jump' (angle) and 'frozen'."""
     found = []
     for j, joint in enumerate(signals.joints):
         for side, q, _ in sides(signals, j):
@@ -251,11 +251,11 @@ def _frozen(signals, joint, what, found):
         return
     longest = found[np.argmax(found[:, 1] - found[:, 0])]
     span = signals.time[longest[1]] - signals.time[longest[0]]
-    yield Finding('frozen', joint, 'refuse' if share > limits.FROZEN_REFUSE else 'warn',
-                  f'{signals.source}: {what} the same in {count} samples ({100 * share:.2g} %) '
-                  f'in the middle of motion, longest {1e3 * span:.4g} ms at '
-                  f'{signals.time[longest[0]]:.3f} s: samples are repeated; record the source '
-                  'at its own rate')
+    yield Fault('frozen', joint, 'refuse' if share > limits.FROZEN_REFUSE else 'warn',
+                f'{signals.source}: {what} the same in {count} samples ({100 * share:.2g} %) '
+                f'in the middle of motion, longest {1e3 * span:.4g} ms at '
+                f'{signals.time[longest[0]]:.3f} s: samples are repeated; record the source '
+                'at its own rate')
 
 
 def _beside(values):
@@ -285,8 +285,8 @@ def _jumps(signals, joint, side, q, unit):
     moves[jumps] = 0.0
     if jumps.size and np.ptp(np.cumsum(moves)) > limits.TRAVEL * unit:  # else it gives way once
         worst = jumps[np.argmax(odd[jumps])]
-        yield Finding('jump', joint, 'refuse', f'{signals.source}: the {side} angle of {joint} '
-                      f'jumps {jumps.size} times, most by {q[worst + 1] - q[worst]:.4g} rad in '
-                      f'one sample at {time[worst + 1]:.3f} s (at full speed it moves '
-                      f'{top:.2g}); unwrap the angle, or cut the recording there: a clock '
-                      'that was set back by whole periods looks like this too')
+        yield Fault('jump', joint, 'refuse', f'{signals.source}: the {side} angle of {joint} '
+                    f'jumps {jumps.size} times, most by {q[worst + 1] - q[worst]:.4g} rad in '
+                    f'one sample at {time[worst + 1]:.3f} s (at full speed it moves '
+                    f'{top:.2g}); unwrap the angle, or cut the recording there: a clock '
+                    'that was set back by whole periods looks like this too')

@@ -25,7 +25,7 @@ from gms_flex_control.identification.objective import (
     Objective,
     train,
 )
-from gms_flex_control.identification.outcome import Candidate
+from gms_flex_control.identification.outcome import BlockCandidate
 import numpy as np
 from scipy.stats import t as student
 
@@ -43,7 +43,7 @@ class JointFit(NamedTuple):
     free: np.ndarray
     prior: Prior
     held: np.ndarray       # free numbers fitted without the data held out
-    candidates: tuple      # of Candidate
+    candidates: tuple      # of BlockCandidate
     sampling: np.ndarray   # what numbers move by as the data are looked at in other ways, (P,)
     rivals: tuple = ()     # of parameters: other numbers of blocks that may be right as well
     ends: tuple = ()       # of free numbers, where the multi-start ended, the best first
@@ -101,10 +101,10 @@ def _fit_candidate(objective, n_blocks):
 
 def choose(objective: Objective, fits: Sequence, blocks: Sequence) -> tuple:
     """
-    Return Candidates, the pair whose held-out error no other beats beyond chance, its rivals.
+    Return BlockCandidates, the pair whose held-out error no other beats beyond chance, its rivals.
 
     ``fits`` are pairs (Coordinates, free numbers) without the data held out, ``blocks`` the
-    numbers that may be chosen. The Candidates are of each such number the best; the chosen pair
+    numbers that may be chosen. The candidates are of each such number the best; the chosen pair
     has the fewest blocks within one standard error of the best; rivals are the parameters of all
     others that are no worse beyond one standard error of the difference, by Student's
     distribution for so many blocks of time.
@@ -117,7 +117,7 @@ def choose(objective: Objective, fits: Sequence, blocks: Sequence) -> tuple:
     shown = {}
     for k in np.flatnonzero(offered):
         n_blocks = fits[k][0].n_blocks
-        shown.setdefault(n_blocks, Candidate(
+        shown.setdefault(n_blocks, BlockCandidate(
             n_blocks, float(costs[k].sum() / count), float(errors[k] / count), False))
     chosen = int(np.flatnonzero(offered & (off <= errors))[0])
     off, errors = _above(costs, chosen)

@@ -34,7 +34,7 @@ class LinkStates:
             self.dq[:] = 0.0
 
 
-class Motion:
+class ReferenceMotion:
     """
     The reference at each time: a chosen trajectory, points, rest, or zero torque.
 

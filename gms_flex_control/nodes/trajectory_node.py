@@ -12,7 +12,7 @@ from gms_flex_control.nodes import joint_trajectory, messages, process, scheduli
 from gms_flex_control.nodes.health import DIAGNOSTICS, Health, OK, trigger
 from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
 from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
-from gms_flex_control.nodes.reference_motion import LinkStates, LONGEST_PAUSE, Motion
+from gms_flex_control.nodes.reference_motion import LinkStates, LONGEST_PAUSE, ReferenceMotion
 from gms_flex_control.nodes.topics import Inbox, Outlet
 from gms_flex_control.schema.build import frames_from_values, trajectory_from_values
 from gms_flex_control.schema.keys import robot_keys, trajectory_keys
@@ -53,7 +53,8 @@ class TrajectoryNode(ConfiguredNode):
         chosen = trajectory_from_values(values, joints)
         require(chosen)
         chosen.sample(0.0)  # compile before the first state comes
-        self._motion, self._require = Motion(joints, self._links, chosen, values, require), require
+        self._require = require
+        self._motion = ReferenceMotion(joints, self._links, chosen, values, require)
         self._writer = messages.ReferenceWriter(
             len(joints), f'{self.get_fully_qualified_name()}#{os.getpid()}')
         self._plant, self._no_torque = self.resolve_service_name('plant'), ''  # '': it flows

@@ -19,7 +19,7 @@ from gms_flex_control.nodes.remote import answer_of, RemoteNode
 from gms_flex_control.nodes.topics import stamp_in
 from gms_flex_control.schema.build import robot_from_values
 from gms_flex_control.schema.keys import robot_keys
-from gms_flex_control.view.live import Feed, Rows, SPACING, Status
+from gms_flex_control.view.live import Feed, JointStateTable, SPACING, Status
 from gms_flex_control.view.recorded import scene_of, unknown_scene
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -260,7 +260,7 @@ class _Listener:
 
     def _begin(self, scene, blocks):
         self.scene, self.blocks = scene, blocks
-        self._rows, self._names = Rows(scene.n_joints, blocks, SPACING), None
+        self._rows, self._names = JointStateTable(scene.n_joints, blocks, SPACING), None
         self._feed.begin_anew()
 
     def _on_joint_states(self, data):

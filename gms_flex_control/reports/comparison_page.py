@@ -6,7 +6,7 @@ from functools import partial
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports.figure_style import COLOURS, labelled, side_by_side, STYLES
-from gms_flex_control.reports.page import Report, Series
+from gms_flex_control.reports.page import ChartSeries, Report
 from gms_flex_control.tuning import study
 from gms_flex_control.tuning.study import conditions, CONTESTANTS, NOMINAL
 import numpy as np
@@ -142,15 +142,15 @@ def _ranked_figure(rows):
 
 
 def _traces(setting, condition):
-    """Yield motion, joint, Series of all compensations and time."""
+    """Yield motion, joint, ChartSeries of all compensations and time."""
     found = {}
     for mode in CONTESTANTS:
         for motion, _, run in study.runs_of(study.Cell(setting, mode, condition)):
             found.setdefault(motion, {})[mode] = run
     for motion, runs in found.items():
         for j, joint in enumerate(setting.robot.joints):
-            series = [Series(CONTESTANTS[mode],
-                             1e3 * (run.true[:, 0, j] - run.reference[:, 0, j]),
-                             role=_role(mode), hidden=mode in ('none', 'stribeck', 'lugre'))
+            series = [ChartSeries(CONTESTANTS[mode],
+                                  1e3 * (run.true[:, 0, j] - run.reference[:, 0, j]),
+                                  role=_role(mode), hidden=mode in ('none', 'stribeck', 'lugre'))
                       for mode, run in runs.items()]
             yield motion, joint, series, runs['none'].time

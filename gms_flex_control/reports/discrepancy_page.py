@@ -16,7 +16,7 @@ from gms_flex_control.params.robot import with_effects
 from gms_flex_control.reports.answers import COLUMNS, discrepancy_answer, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_values import comparison_rows
 from gms_flex_control.reports.figure_style import file_stem, save_figure
-from gms_flex_control.reports.page import Report, Series
+from gms_flex_control.reports.page import ChartSeries, Report
 from gms_flex_control.reports.pictures import evidence_figure, gap_figure, maps_figure, over_figure
 import numpy as np
 
@@ -232,8 +232,8 @@ def _add_residuals(report, along, behind, picture):
     for j in shown:
         for equation, column in along.channels(j):
             report.chart(f'{along.joints[j]}: missing in the {equation} equation', time, [
-                Series(WITHOUT, scale.factor * before[:split, column], role='c1'),
-                Series(WITH, scale.factor * after[:split, column], role='c0')],
+                ChartSeries(WITHOUT, scale.factor * before[:split, column], role='c1'),
+                ChartSeries(WITH, scale.factor * after[:split, column], role='c0')],
                 y_label=f'torque [{scale.unit}]')
 
 
@@ -249,7 +249,7 @@ def _add_free_runs(report, runs, left_out):
 
 def _add_free_run(report, runs, j):
     report.chart(f'{runs.motion.samples.joints[j]}: free runs, simulated - measured', runs.time, [
-        Series(name, 1e3 * values[:, j], role=role) for name, values, role in (
+        ChartSeries(name, 1e3 * values[:, j], role=role) for name, values, role in (
             (WITHOUT, runs.without, 'c1'), (WITH, runs.found, 'c0'))],
         y_label='angle [mrad]', group='free runs')
 
@@ -269,11 +269,11 @@ def _add_closed_loop(report, again):
          for j, joint in enumerate(again.joints)],
         f'Simulated less measured link angle, rms, over {", ".join(again.sources)}')
     for j, joint in enumerate(again.joints):
-        report.chart(f'{joint}: closed loop, simulated - measured', again.time, [
-            Series(name, 1e3 * (course[:, j] - again.measured[:, j]), role=role)
-            for name, course, role in ((WITHOUT, again.course_before, 'c1'),
-                                       (WITH, again.course_after, 'c0'))],
-            y_label='angle [mrad]')
+        lines = [ChartSeries(name, 1e3 * (course[:, j] - again.measured[:, j]), role=role)
+                 for name, course, role in ((WITHOUT, again.course_before, 'c1'),
+                                            (WITH, again.course_after, 'c0'))]
+        report.chart(f'{joint}: closed loop, simulated - measured', again.time, lines,
+                     y_label='angle [mrad]')
 
 
 def _add_tables(report, result, models):

@@ -27,7 +27,7 @@ HINT = ('Drag to pan, wheel or shift-drag to zoom, double-click to reset; click 
         'legend to hide it. Charts of one group move together.')
 
 
-class Series(NamedTuple):
+class ChartSeries(NamedTuple):
     """One line of a chart."""
 
     label: str
@@ -96,9 +96,9 @@ class Report:
 
     def chart(self, title, time, series, y_label='', group='time') -> Self:
         """
-        Add an interactive chart of Series over an increasing ``time`` (T,) [s].
+        Add an interactive chart of ChartSeries over an increasing ``time`` (T,) [s].
 
-        Charts of one ``group`` share cursor, pan and zoom. Series without a number are left out,
+        Charts of one ``group`` share cursor, pan and zoom. Those without a number are left out,
         and a chart without series. ValueError if lengths differ, time does not increase or is not
         finite, or a role is unknown.
         """

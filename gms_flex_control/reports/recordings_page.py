@@ -8,7 +8,7 @@ from gms_flex_control.identification import outcome
 from gms_flex_control.reports import figure_style
 from gms_flex_control.reports.answers import held_out_rows, identification_answer, worst_joint
 from gms_flex_control.reports.figure_style import free_path, save_figure
-from gms_flex_control.reports.page import decimate, Report, Series
+from gms_flex_control.reports.page import ChartSeries, decimate, Report
 from gms_flex_control.reports.pictures import loops_figure, map_figure
 from gms_flex_control.tuning.tracking import link_error, PAPER_WITHOUT, Table4, table4
 from matplotlib.figure import Figure
@@ -81,15 +81,16 @@ def _add_run(report, run):
 
 def _joint_charts(recording, i):
     yield 'angle', 'rad', [
-        Series('link', recording.q_link[:, i], role='c0'),
-        Series('motor', recording.q_motor[:, i], role='c4', hidden=True),
-        Series('reference', recording.reference[:, 0, i], role='reference', dashed=True)]
+        ChartSeries('link', recording.q_link[:, i], role='c0'),
+        ChartSeries('motor', recording.q_motor[:, i], role='c4', hidden=True),
+        ChartSeries('reference', recording.reference[:, 0, i], role='reference', dashed=True)]
     yield 'torsion', 'mrad', [
-        Series('motor − link', 1e3 * (recording.q_motor - recording.q_link)[:, i], role='c4')]
+        ChartSeries('motor − link', 1e3 * (recording.q_motor - recording.q_link)[:, i],
+                    role='c4')]
     yield 'torque', 'N m', [
-        Series('applied', recording.tau_motor[:, i], role='c0'),
-        Series('command', recording.command[:, i], role='c1', dashed=True)]
-    yield 'friction', 'N m', [Series('estimate', recording.friction_hat[:, i], role='c2')]
+        ChartSeries('applied', recording.tau_motor[:, i], role='c0'),
+        ChartSeries('command', recording.command[:, i], role='c1', dashed=True)]
+    yield 'friction', 'N m', [ChartSeries('estimate', recording.friction_hat[:, i], role='c2')]
 
 
 def _by_trajectory(runs):
@@ -112,8 +113,8 @@ def _add_error_charts(report, runs, wanted):
         for joint in _joints(chosen):
             if not wanted((trajectory, joint)):
                 continue
-            series = [Series(run.compensation, _error(run, joint), x=run.recording.time,
-                             role=f'c{_look(run)[0]}')
+            series = [ChartSeries(run.compensation, _error(run, joint), x=run.recording.time,
+                                  role=f'c{_look(run)[0]}')
                       for run in chosen if joint in run.recording.joints]
             report.chart(f'{_capital(trajectory)}, {joint}: link angle - reference',
                          series[0].x, series, y_label='error [mrad]',
@@ -298,11 +299,11 @@ def _add_motion(report, result):
         group = f'{result.joint} {i}'
         for name, unit, lines in (
                 ('friction', 'N m', [
-                    Series('measured', measured, role='c5'),
-                    Series('model', model, role='reference'),
-                    Series('model, held out', held, role='c1')]),
-                ('residual', 'N m', [Series('measured − model', residual, role='c1')]),
-                ('velocity', 'rad/s', [Series('link', velocity, role='c2')])):
+                    ChartSeries('measured', measured, role='c5'),
+                    ChartSeries('model', model, role='reference'),
+                    ChartSeries('model, held out', held, role='c1')]),
+                ('residual', 'N m', [ChartSeries('measured − model', residual, role='c1')]),
+                ('velocity', 'rad/s', [ChartSeries('link', velocity, role='c2')])):
             report.chart(f'{outcome.short_label(trace.label)}: {name}', time, lines,
                          y_label=f'{name} [{unit}]', group=group)
 

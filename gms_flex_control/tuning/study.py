@@ -27,7 +27,7 @@ CONTESTANTS = {
 NOMINAL, DRAWN = 'nominal', 'drawn'
 
 
-class Condition(NamedTuple):
+class PlantCondition(NamedTuple):
     """How the plant differs from what is believed, and how it is sampled."""
 
     name: str
@@ -42,15 +42,15 @@ class Condition(NamedTuple):
 
 def conditions(draws) -> list:
     """Return the conditions, ``draws`` robots with all parameters off among them."""
-    found = [Condition(NOMINAL, NOMINAL)]
+    found = [PlantCondition(NOMINAL, NOMINAL)]
     for group, name, spread in (('friction', 'friction', 0.3), ('K', 'stiffness', 0.2),
                                 ('M', 'mass', 0.3)):
-        found += [Condition(f'{group} {100 * sign * spread:+.0f} %', group,
-                            **{name: 1.0 + sign * spread}) for sign in (-1.0, 1.0)]
-    found += [Condition(f'{counts} counts', f'{counts} counts', counts=float(counts))
+        found += [PlantCondition(f'{group} {100 * sign * spread:+.0f} %', group,
+                                 **{name: 1.0 + sign * spread}) for sign in (-1.0, 1.0)]
+    found += [PlantCondition(f'{counts} counts', f'{counts} counts', counts=float(counts))
               for counts in (4096, 16384, 65536)]
-    found += [Condition(f'{rate} Hz', f'{rate} Hz', rate=float(rate)) for rate in (200, 1000)]
-    return found + [Condition(f'drawn {k}', DRAWN, draw=k) for k in range(draws)]
+    found += [PlantCondition(f'{rate} Hz', f'{rate} Hz', rate=float(rate)) for rate in (200, 1000)]
+    return found + [PlantCondition(f'drawn {k}', DRAWN, draw=k) for k in range(draws)]
 
 
 def plant_of(robot, condition, seed) -> RobotParams:
@@ -72,7 +72,7 @@ def gains_of(gains, mode) -> ControllerParams:
 
 
 # what is left of the error where there is (next to) none to compensate
-FLOOR = Condition('without friction', 'without friction', friction=1e-6)
+FLOOR = PlantCondition('without friction', 'without friction', friction=1e-6)
 
 
 class Setting(NamedTuple):
@@ -91,7 +91,7 @@ class Cell(NamedTuple):
 
     setting: Setting
     mode: str
-    condition: Condition
+    condition: PlantCondition
 
 
 def cells(setting) -> dict:

@@ -30,7 +30,7 @@ NOTE = ('The paper prints neither M, J, K nor its trajectories, so absolute erro
 MOST_UNANSWERED = 0.1  # share of samples without a command, above which gains are not judged
 
 
-class Run(NamedTuple):
+class TrackingRun(NamedTuple):
     """One experiment: what was asked of the robot, how friction was treated, what came."""
 
     trajectory: str    # 'sinusoid', 'polynomial' or any other name
@@ -264,7 +264,7 @@ def unanswered(recording) -> float:
 
 
 def table4(runs) -> Table4:
-    """Return the paper's Table4 for any list of Runs, repeats averaged, missing ones as '-'."""
+    """Return the paper's Table4 of TrackingRuns, repeats averaged, missing ones as '-'."""
     return Table4(tuple(track(run) for run in runs))
 
 

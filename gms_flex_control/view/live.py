@@ -18,7 +18,7 @@ _REACH = 20_000_000    # a reference further away is not used [ns]
 _JUMP = 1_000_000_000  # stamps that go back or ahead by more are another run [ns]
 
 
-class Rows:
+class JointStateTable:
     """The rows of a table, one per joint state, ``spacing`` [ns] apart, filled by messages."""
 
     def __init__(self, n, blocks, spacing=1):
