@@ -153,7 +153,7 @@ def test_no_motion_with_4096_counts_looks_frozen(robot, gains, motion, compensat
     for k, (row, command) in enumerate(zip(run.measured, run.command, strict=True)):
         said = judge.look(state(*row), last, DT if k else 0.0)
         assert said is None, f'{k * DT:.3f} s: {said}'
-        longest, last = max(longest, *judge.memory[frozen._STILL]), command
+        longest, last = max(longest, *judge.memory['still']), command
     assert longest > 2 * frozen.STANDING  # there was something to report
 
 

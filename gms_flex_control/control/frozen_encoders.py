@@ -16,8 +16,10 @@ gives the same number again and again, so there has to be a second witness:
 
 import math
 
+from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.effects.registry import find
+from gms_flex_control.records import FLOAT
 import numpy as np
 
 STANDING = 0.03      # the same number for longer is looked at; between two states, silence [s]
@@ -33,67 +35,70 @@ _NOTHING = 0.01      # of the torque limit: a motor of less effort is given none
 _FRICTION = 3.0
 
 
-# what is remembered of each angle, row by row: the angle; for how long it is the same, and what
-# should have turned it since; torque now and before, NaN while unknown, and for how long they
-# differ by more than the limit; what was found
-_SAME, _STILL, _TURNED, _TORQUE, _BEFORE, _PUSHED, _FOUND = range(7)
-_BY_RATE, _BY_TORQUE, _REPORTED = 1.0, 2.0, 3.0
+ANGLE = records.layout(  # what is remembered of each angle
+    ('angle', FLOAT),          # [rad]
+    ('still', FLOAT),          # for how long it is the same [s]
+    ('turned', FLOAT),         # by how much the rate should have turned it since [rad]
+    ('torque', FLOAT),         # averaged, NaN while unknown [N m]
+    ('torque_before', FLOAT),  # while it last turned, likewise
+    ('pushed', FLOAT),         # for how long both differ by more than the limit [s]
+    ('state', np.int64))       # one of those below
+_MOVES, _FROZEN_BY_RATE, _FROZEN_BY_TORQUE, _REPORTED = range(4)
 
 
 @compiled
-def _wait(memory):
-    """Ask for witnesses from now on; a finding stays."""
-    for row in (_STILL, _TURNED, _PUSHED):
-        memory[row] = 0.0
-    memory[_TORQUE] = memory[_BEFORE] = np.nan
+def _await_witnesses(memory):
+    """Forget the witnesses so far; an angle that is frozen stays so."""
+    for i in range(len(memory)):
+        memory[i].still = memory[i].turned = memory[i].pushed = 0.0
+        memory[i].torque = memory[i].torque_before = np.nan
 
 
 @compiled
 def look(memory, q_link, dq_link, q_motor, dq_motor, torque, dt, motors, turn, limit,
          patience) -> bool:
     """
-    Take the next sample into the ``memory``; return whether an angle is frozen.
+    Take the next sample into the ``memory`` of ANGLEs; return whether one of them is frozen.
 
-    Its columns are the links, then the ``motors`` (indices of joints); see `FrozenEncoders.look`.
+    They are the links', then those of ``motors`` (indices of joints); see `FrozenEncoders.look`.
     """
-    n, any_found = len(q_link), False
+    n, any_frozen = len(q_link), False
     if not 0.0 < dt <= STANDING:
-        _wait(memory)
+        _await_witnesses(memory)
         dt = 0.0
-    for i in range(memory.shape[1]):
-        j = i if i < n else motors[i - n]
+    for i in range(len(memory)):
+        one, j = memory[i], i if i < n else motors[i - n]
         angle, rate = (q_link[j], dq_link[j]) if i < n else (q_motor[j], dq_motor[j])
-        if angle != memory[_SAME, i]:
-            memory[_SAME, i] = angle
-            memory[_STILL, i] = memory[_TURNED, i] = memory[_PUSHED, i] = memory[_FOUND, i] = 0.0
+        if angle != one.angle:
+            one.angle, one.state = angle, _MOVES
+            one.still = one.turned = one.pushed = 0.0
         else:
-            memory[_STILL, i] += dt
+            one.still += dt
             most = _SHARE * turn
-            memory[_TURNED, i] += (min(max(rate * dt, -most), most)
-                                   - memory[_TURNED, i] * dt / _FORGOTTEN)
+            one.turned += min(max(rate * dt, -most), most) - one.turned * dt / _FORGOTTEN
         if i >= n and limit[j] < np.inf:
-            _push(memory[:, i], torque[j], dt, limit[j])
-        turned = abs(memory[_TURNED, i]) > turn
-        if ((turned or i >= n and memory[_PUSHED, i] > patience[j])
-                and memory[_STILL, i] > STANDING and memory[_FOUND, i] == 0.0):
-            memory[_FOUND, i] = _BY_RATE if turned else _BY_TORQUE
-        any_found = any_found or memory[_FOUND, i] > 0.0
-    return any_found
+            _push(one, torque[j], dt, limit[j])
+        turned = abs(one.turned) > turn
+        if ((turned or i >= n and one.pushed > patience[j])
+                and one.still > STANDING and one.state == _MOVES):
+            one.state = _FROZEN_BY_RATE if turned else _FROZEN_BY_TORQUE
+        any_frozen = any_frozen or one.state != _MOVES
+    return any_frozen
 
 
 @compiled
 def _push(one, torque, dt, limit):
-    """Take the torque [N m] since the sample before."""
+    """Take the torque [N m] since the sample before into the memory of ``one`` angle."""
     if math.isnan(torque):  # what acts later begins anew
-        one[_TORQUE] = one[_BEFORE] = np.nan
-        one[_PUSHED] = 0.0
+        one.torque = one.torque_before = np.nan
+        one.pushed = 0.0
         return
-    if math.isnan(one[_TORQUE]):
-        one[_TORQUE] = torque
-    one[_TORQUE] += min(1.0, dt / _AVERAGE) * (torque - one[_TORQUE])
-    if one[_STILL] <= _AVERAGE or math.isnan(one[_BEFORE]):
-        one[_BEFORE] = one[_TORQUE]
-    one[_PUSHED] = one[_PUSHED] + dt if abs(one[_TORQUE] - one[_BEFORE]) > limit else 0.0
+    if math.isnan(one.torque):
+        one.torque = torque
+    one.torque += min(1.0, dt / _AVERAGE) * (torque - one.torque)
+    if one.still <= _AVERAGE or math.isnan(one.torque_before):
+        one.torque_before = one.torque
+    one.pushed = one.pushed + dt if abs(one.torque - one.torque_before) > limit else 0.0
 
 
 @compiled
@@ -121,9 +126,9 @@ class FrozenEncoders:
         self._names, self._sentences = names, [''] * len(names)
         self._motors = np.array([j for j, motor in enumerate(robot.motors) if motor], dtype=int)
         self._turn = max(TURNED, _COUNTS * _count(robot))
-        self.memory = np.zeros((_FOUND + 1, len(names)))
-        self.memory[_SAME] = np.nan
-        _wait(self.memory)
+        self.memory = np.zeros(len(names), ANGLE)
+        self.memory['angle'] = np.nan
+        _await_witnesses(self.memory)
         self.use(torque_limit)
 
     def use(self, torque_limit) -> None:
@@ -135,9 +140,9 @@ class FrozenEncoders:
         self.expected = self._motors, self._turn, limits, patience  # as `look` takes it
 
     def reset(self) -> None:
-        """Withdraw every finding."""
-        self.memory[_FOUND] = 0.0
-        _wait(self.memory)
+        """Take every angle for one that moves."""
+        self.memory['state'] = _MOVES
+        _await_witnesses(self.memory)
 
     def look(self, measured, torque, dt) -> str | None:
         """
@@ -151,21 +156,21 @@ class FrozenEncoders:
         if not look(self.memory, measured.q_link, measured.dq_link, measured.q_motor,
                     measured.dq_motor, torque, dt, *self.expected):
             return None
-        frozen = np.flatnonzero(self.memory[_FOUND])
-        for i in frozen[self.memory[_FOUND, frozen] < _REPORTED]:
-            self._sentences[i] = self._finding(i)
-            self.memory[_FOUND, i] = _REPORTED
+        frozen = np.flatnonzero(self.memory['state'] != _MOVES)
+        for i in frozen[self.memory['state'][frozen] != _REPORTED]:
+            self._sentences[i] = _sentence(self._names[i], self.memory[i])
+            self.memory['state'][i] = _REPORTED
         others = ', '.join(self._names[i] for i in frozen[1:])
         return self._sentences[frozen[0]] + (f'; so are {others}' if others else '')
 
-    def _finding(self, i):
-        angle, still, turned, torque, before, _, found = self.memory[:, i]
-        why = (f'its velocity implies a motion of {abs(turned):.2g} rad: the encoder is frozen'
-               if found == _BY_RATE else
-               f'its torque changed by {abs(torque - before):.3g} N m: the encoder is frozen or '
-               'the motor blocked')
-        return (f'{self._names[i]} has been at exactly {angle:.6g} rad for {1e3 * still:.0f} ms '
-                f'while {why}')
+
+def _sentence(name, one):
+    why = (f'its velocity implies a motion of {abs(one.turned):.2g} rad: the encoder is frozen'
+           if one.state == _FROZEN_BY_RATE else
+           f'its torque changed by {abs(one.torque - one.torque_before):.3g} N m: the encoder is '
+           'frozen or the motor blocked')
+    return (f'{name} has been at exactly {one.angle:.6g} rad for {1e3 * one.still:.0f} ms while '
+            f'{why}')
 
 
 def torque_thresholds(robot, torque_limit) -> np.ndarray:
@@ -195,7 +200,7 @@ class EncoderWatch:
         self.judge = FrozenEncoders(robot, torque_limit)
         self._measured = measured
         self._acting, self._silent = np.zeros(robot.n_joints), np.full(robot.n_joints, np.nan)
-        self.frozen, self.began, self.count = '', False, 0   # a finding, whether it is new
+        self.frozen, self.began, self.count = '', False, 0   # in words, whether just now
         self.use(torque_limit)
 
     def use(self, torque_limit) -> None:
@@ -204,7 +209,7 @@ class EncoderWatch:
         self.nothing = _NOTHING * torque_limit
 
     def reset(self) -> None:
-        """Take back what was found."""
+        """Take no angle for frozen."""
         self.judge.reset()
         self.frozen, self.began = '', False
 
