@@ -25,7 +25,7 @@ from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.simulated import to_recording
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import RobotParams, UNCERTAIN
 import numpy as np
 
 _OPEN = 'not identifiable', 'doubtful'  # standings of estimates
@@ -33,17 +33,6 @@ _DIRECTIONS = 'forward', 'backward'  # rows of friction parameters
 _SOFTER = tuple(1.25 ** k for k in range(16))  # parts of the quickest acceleration that are tried
 _DETERMINED = 0.3  # relative standard deviation of a parameter that a motion determines
 _NOTHING_KNOWN = 1e-4  # prior information, relative, about what was not identified
-# kinds of relative changes that stand for a parameter, by the last part of its name
-_KINDS = {'static': ('static',), 'coulomb': ('level',), 'velocity': ('velocity',),
-          'viscous': ('viscous',), 'attraction': ('attraction',), 'weight': ('blocks',),
-          'stiffness': ('blocks',), 'mass': ('gravity', 'inertia'), 'com': ('gravity', 'inertia'),
-          'inertia': ('inertia',), 'motor_inertia': ('motor_inertia',), 'damping': ('damping',)}
-# kinds as a report calls them
-_CALLED = {'static': 'static friction', 'level': 'Coulomb friction',
-           'velocity': 'Stribeck velocity', 'viscous': 'viscous friction',
-           'blocks': 'presliding stiffness', 'gravity': 'gravity', 'inertia': 'link inertia',
-           'motor_inertia': 'motor inertia', 'damping': 'joint damping',
-           'stiffness': 'joint stiffness'}
 # experiments of identification_node that measure a kind by itself, in its order
 _MEASURED_BY = {'constant_velocity': ('level', 'velocity', 'viscous'), 'break_away': ('static',),
                 'presliding': ('blocks',), 'sliding': ('attraction',)}
@@ -117,7 +106,7 @@ def in_words(missing: str) -> str:
     """Return a parameter, such as 'forward level of joint1', as a reader would call it."""
     what, _, joint = missing.partition(' of ')
     *direction, kind = what.split()
-    return f'{" ".join([*direction, _CALLED.get(kind, kind)])} of {joint}'
+    return f'{" ".join([*direction, UNCERTAIN[kind].called])} of {joint}'
 
 
 def missing_of(report: Mapping) -> list[tuple[str, str]]:
@@ -126,10 +115,9 @@ def missing_of(report: Mapping) -> list[tuple[str, str]]:
     for joint in report['joints']:
         for one in joint['estimates']:
             part, *_, last = one['name'].split('.')
-            kind = last.partition('[')[0]
-            if one['standing'] in _OPEN and kind in _KINDS:
-                kinds = ('stiffness',) if part == 'arm' and kind == 'stiffness' else _KINDS[kind]
-                found |= {(name, joint['joint']): None for name in kinds}
+            if one['standing'] in _OPEN:
+                found |= {(name, joint['joint']): None for name, kind in UNCERTAIN.items()
+                          if kind.is_left_open(part, last.partition('[')[0])}
     return list(found)
 
 

@@ -15,10 +15,7 @@ from gms_flex_control.schema.files import save_values, wrapped
 import numpy as np
 
 REPORT_FORMAT = 1
-# and of the arm: that of a single axis alone
-_OF_ARM = {'inertia': 'inertia', 'gravity': 'gravity_torque', 'motor_inertia': 'motor_inertia',
-           'stiffness': 'stiffness', 'damping': 'damping'}
-_BY_JOINT = ('motor_inertia', 'stiffness', 'damping')  # of them, one number each in the arm
+_BY_JOINT = ('motor_inertia', 'stiffness', 'damping')  # of the arm's kinds, one number each
 # times what is usual: intervals know nothing of what a model lacks, nor of other days
 _LEAST_SD, _MOST_SD = 0.5, 4.0
 
@@ -88,9 +85,13 @@ def friction_values(identification: outcome.Identification) -> dict:
                      for (kind, joint), sd in uncertainty_of(identification).items()}
 
 
-# kinds of known parameters by the parameters of friction that determine them
-KNOWN_BY = {'level': 'coulomb', 'viscous': 'viscous', 'static': 'static',
-            'velocity': 'velocity', 'attraction': 'attraction', 'blocks': 'stiffness['}
+def _known_by(part):
+    """Return the estimates that determine kinds of UNCERTAIN of a part, by kind."""
+    return {name: kind.known_by.removeprefix(f'{part}.') for name, kind in UNCERTAIN.items()
+            if kind.known_by.startswith(f'{part}.')}
+
+
+_OF_ARM, _OF_FRICTION = _known_by('arm'), _known_by('friction')
 
 
 def uncertainty_of(identification: outcome.Identification) -> dict[tuple[str, str], float]:
@@ -101,9 +102,9 @@ def uncertainty_of(identification: outcome.Identification) -> dict[tuple[str, st
     """
     values = _uncertainty_of_arm(identification)
     for result in identification.joints:
-        for kind, name in KNOWN_BY.items():
+        for kind, name in _OF_FRICTION.items():
             own = [one for one in result.estimates if one.name.startswith('friction.')
-                   and one.name.split('.')[-1].startswith(name)]
+                   and one.name.split('.')[-1].partition('[')[0] == name]
             sizes = [outcome.spread(one) / outcome.CONFIDENT for one in own
                      if not one.flags and one.value]
             sizes = [size for size in sizes if np.isfinite(size) and size > 0.0]
@@ -121,8 +122,9 @@ def with_friction_of(robot: RobotParams, identification: outcome.Identification)
     """Return a robot with the friction identified, known as well as its intervals say."""
     joints = {one.joint for one in identification.joints}
     known = {key: sd for key, sd in robot.uncertainty.items()
-             if key[0] not in KNOWN_BY or key[1] not in joints}
-    known |= {key: sd for key, sd in uncertainty_of(identification).items() if key[0] in KNOWN_BY}
+             if key[0] not in _OF_FRICTION or key[1] not in joints}
+    known |= {key: sd for key, sd in uncertainty_of(identification).items()
+              if key[0] in _OF_FRICTION}
     return replace(robot, friction=identification.robot.friction, uncertainty=known)
 
 

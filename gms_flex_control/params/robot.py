@@ -126,23 +126,40 @@ class Kind(NamedTuple):
 
     sd: float          # relative standard deviation
     description: str
+    called: str        # by a report
+    known_by: str = ''   # estimate of `identify` whose interval tells how well it is known
+    open_by: tuple = ()  # estimates of `identify` that leave it open; default that one
+
+    def is_left_open(self, part: str, estimate: str) -> bool:
+        """Return whether an estimate of a part of the robot, not identified, leaves it open."""
+        return f'{part}.{estimate}' in (self.open_by or (self.known_by,))
 
 
+_OF_LINK = 'arm.mass', 'arm.com', 'recordings.mass'
 # data sheets and weighing for masses and springs, repeated identification for friction
 UNCERTAIN = {
-    'inertia': Kind(0.015, 'inertia of the link, or coupling of the arm (under arm)'),
-    'gravity': Kind(0.015, 'mass moment of the link under gravity'),
-    'stiffness': Kind(0.015, 'stiffness of the spring'),
-    'motor_inertia': Kind(0.015, 'inertia of the motor'),
-    'damping': Kind(0.05, 'damping of the spring'),
-    'level': Kind(0.02, 'level of friction, both directions together'),
-    'asymmetry': Kind(0.02, 'difference of the levels of both directions'),
-    'viscous': Kind(0.025, 'viscous friction, both directions together'),
-    'viscous_asymmetry': Kind(0.025, 'difference of viscous friction of both directions'),
-    'static': Kind(0.015, 'static friction beside the level'),
-    'velocity': Kind(0.12, 'Stribeck velocity'),
-    'attraction': Kind(0.15, 'attraction of slipping blocks'),
-    'blocks': Kind(0.08, 'stiffness of the friction blocks')}
+    'inertia': Kind(0.015, 'inertia of the link, or coupling of the arm (under arm)',
+                    'link inertia', 'arm.inertia', ('arm.inertia', *_OF_LINK)),
+    'gravity': Kind(0.015, 'mass moment of the link under gravity',
+                    'gravity', 'arm.gravity_torque', _OF_LINK),
+    'motor_inertia': Kind(0.015, 'inertia of the motor', 'motor inertia', 'arm.motor_inertia'),
+    'stiffness': Kind(0.015, 'stiffness of the spring', 'joint stiffness', 'arm.stiffness'),
+    'damping': Kind(0.05, 'damping of the spring', 'joint damping', 'arm.damping'),
+    'level': Kind(0.02, 'level of friction, both directions together',
+                  'Coulomb friction', 'friction.coulomb'),
+    'asymmetry': Kind(0.02, 'difference of the levels of both directions', 'asymmetry'),
+    'viscous': Kind(0.025, 'viscous friction, both directions together',
+                    'viscous friction', 'friction.viscous'),
+    'viscous_asymmetry': Kind(0.025, 'difference of viscous friction of both directions',
+                              'viscous_asymmetry'),
+    'static': Kind(0.015, 'static friction beside the level',
+                   'static friction', 'friction.static'),
+    'velocity': Kind(0.12, 'Stribeck velocity', 'Stribeck velocity', 'friction.velocity'),
+    'attraction': Kind(0.15, 'attraction of slipping blocks', 'attraction',
+                       'friction.attraction'),
+    'blocks': Kind(0.08, 'stiffness of the friction blocks',
+                   'presliding stiffness', 'friction.stiffness',
+                   ('friction.stiffness', 'friction.weight'))}
 LEAST_SD, LARGEST_SD = 1e-4, 10.0   # that may be stated
 
 
