@@ -32,8 +32,8 @@ from gms_flex_control.reports.recordings_page import error_figure
 from gms_flex_control.tuning import study
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands, Proposal, propose
+from gms_flex_control.tuning.study import Trial, try_motions
 from gms_flex_control.tuning.tracking import Table4, table4, TrackingRun
-from gms_flex_control.tuning.trial import Trial, try_motions
 from matplotlib.figure import Figure
 import numpy as np
 

@@ -12,13 +12,13 @@ from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.axis_fit import (
     fit_axis,
-    fit_motor,
     held_torque,
     rows_of,
     rows_that_agree,
 )
 from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of, IN_PLANE
+from gms_flex_control.identification.motor_equation import motor_equation_of
 from gms_flex_control.params.arm import ArmParams, in_space
 from gms_flex_control.simulation import plant
 from identified_axis import axis, experiment, pendulum
@@ -227,7 +227,7 @@ def moments_of(arm):
 
 
 def test_motor_inertia_and_stiffness_come_from_the_motors_equation():
-    fit = fit_motor([experiment()[0]], 0)
+    fit = motor_equation_of([experiment()[0]], 0).fit()
     assert fit.believed[:2].all()
     assert fit.motor_inertia == pytest.approx(0.005, rel=0.01)
     assert fit.stiffness == pytest.approx(1.5, rel=0.01)

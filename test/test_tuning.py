@@ -19,7 +19,7 @@ from gms_flex_control.schema.build import limits_from_values, robot_values
 from gms_flex_control.simulation import loop as closed_loop
 from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory import builders
-from gms_flex_control.tuning import margins, trial
+from gms_flex_control.tuning import margins, study
 from gms_flex_control.tuning.linear_loop import compliance, linear_loop, Timing
 from gms_flex_control.tuning.margins import judged
 from gms_flex_control.tuning.propose import _candidates, _SLOWEST, Demands, propose
@@ -70,7 +70,7 @@ def test_a_rigid_axis_has_the_loop_of_a_sampled_double_integrator(rigid):
 def test_the_linear_loop_moves_as_the_simulated_robot(flexible, delay):
     """From 1 mrad beside the reference, with velocity filter and delay, sample by sample."""
     timing, begin = Timing(2e-3, delay), 1e-3
-    run = closed_loop.run(trial.with_delay(flexible, delay), flexible, gains_of(),
+    run = closed_loop.run(study.with_delay(flexible, delay), flexible, gains_of(),
                           builders.hold(STILL), duration=0.4, substeps=200, q_link=[begin])
     loop = linear_loop(flexible, flexible, gains_of(), timing, STILL)
     z = np.zeros(len(loop.a))
@@ -88,7 +88,7 @@ def test_at_the_delay_margin_the_simulated_robot_begins_to_swing(flexible):
     assert 1e-3 < margin < 0.05
     swings = []
     for delay in (0.93 * margin, 1.07 * margin):
-        run = closed_loop.run(trial.with_delay(flexible, delay), flexible, gains_of(),
+        run = closed_loop.run(study.with_delay(flexible, delay), flexible, gains_of(),
                               builders.hold(STILL), duration=3.0, substeps=100, q_link=[1e-6])
         swings.append(np.ptp(run.true[-200:, 2, 0]) / np.ptp(run.true[:200, 2, 0]))
     assert swings[0] < 0.5 and swings[1] > 2.0
@@ -186,7 +186,7 @@ def ended_by(limits, robot, gains, rate, duration, motion=None, delay=0):
 def test_draws_stay_within_the_spread(arm):
     robot, _ = arm
     believed = robot_values(robot)
-    drawn = [trial.draw(robot, np.random.default_rng(k))[0] for k in range(50)]
+    drawn = [study.draw(robot, np.random.default_rng(k))[0] for k in range(50)]
     values = [robot_values(one) for one in drawn]
     for key, spread in (('arm.joint1.stiffness', 0.2), ('arm.joint2.mass', 0.3),
                         ('friction.joint2.backward.coulomb', 0.3), ('arm.joint1.length', 0.0),

@@ -26,12 +26,12 @@ from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.arm_fit import with_motors
 from gms_flex_control.identification.arm_regression import fit_base_parameters
-from gms_flex_control.identification.axis_fit import fit_motor
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     base_of,
     link_regressors,
 )
+from gms_flex_control.identification.motor_equation import motor_equation_of
 from gms_flex_control.params.arm import Body
 import numpy as np
 from scipy.signal import butter, decimate, filtfilt
@@ -103,7 +103,7 @@ def flexible_score(seed: int, seconds: float) -> Score:
     true = robot_near(believed, rng)
     recording = recording_of(true, believed, seconds=seconds, seed=seed,
                              noise=float(rng.choice(NOISES)), motors_only=False)
-    motors = [fit_motor([recording], j) for j in range(believed.n_joints)]
+    motors = [motor_equation_of([recording], j).fit() for j in range(believed.n_joints)]
     fit = fit_base_parameters([recording], replace(
         believed, arm=with_motors(believed.arm, motors)))
     return score_of(fit.values, fit.error, base_of(believed.arm)[1] @ all_parameters(true.arm))

@@ -19,7 +19,7 @@ from gms_flex_control.reports import comparison_page, tuning_page
 from gms_flex_control.reports.figure_style import save_figure
 from gms_flex_control.schema.build import controller_values
 from gms_flex_control.schema.files import load_controller, load_robot, save_values
-from gms_flex_control.tuning import trial
+from gms_flex_control.tuning import study
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands
 import numpy as np
@@ -89,10 +89,10 @@ def _per_joint(name, values, n):
 def _verified(robot, gains, demands, args):
     """Return the summary of the draws asked for."""
     amplitude = np.full(robot.n_joints, args.amplitude)
-    items = {f'draw {k}': trial.Drawn(robot, gains, demands.timing, amplitude,
+    items = {f'draw {k}': study.Drawn(robot, gains, demands.timing, amplitude,
                                       args.seed, k) for k in range(args.verify)}
-    found = run_batch(trial.try_drawn, items, args.workers, 'robots')
-    return trial.summary(list(found.values()))
+    found = run_batch(study.try_drawn, items, args.workers, 'robots')
+    return study.summary(list(found.values()))
 
 
 def _write(args, robot, proposal, demands):

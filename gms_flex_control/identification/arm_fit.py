@@ -19,6 +19,12 @@ from gms_flex_control.identification.arm_differences import (
     load_estimate,
 )
 from gms_flex_control.identification.arm_regression import fit_base_parameters
+from gms_flex_control.identification.motor_equation import (
+    motor_equation_of,
+    motor_estimates,
+    MotorFit,
+    with_motors,
+)
 from gms_flex_control.identification.outcome import CONFIDENT, estimated, WIDE
 from gms_flex_control.identification.segments import filled, friction_by_load, Segment
 from gms_flex_control.params.arm import ArmParams, STANDARD_GRAVITY
@@ -31,8 +37,6 @@ _ERRORS, _PART = 5.0, 0.1  # of the regression, and of the number: unit of a cor
 _SLIGHT = 0.1      # of the torque: an inertia that needs less is not to be believed
 _NEEDS_INERTIA = 'faster changes of speed identify it'
 _NEEDS_GRAVITY = 'motion over a wider range of angles identifies it'
-_NEEDS_MOTOR = ('a motion that makes the motor swing against the link identifies it, both '
-                'encoders sampled at one time')
 _NEEDS_CONSTANT = ('a constant torque is separated from friction by motion both ways at the same '
                    'angles and speeds')
 _SCALE = estimated(
@@ -44,7 +48,7 @@ _SCALE = estimated(
 class JointArm(NamedTuple):
     """What a regression says of one joint, and which numbers are corrected along with friction."""
 
-    motor: axis_fit.MotorFit | None  # None where not fitted
+    motor: MotorFit | None  # None where not fitted
     axis: axis_fit.AxisFit | None = None  # None of a link of a chain; then nothing is corrected
     ripple: axis_fit.Ripple | None = None
     numbers: np.ndarray = np.zeros(0, dtype=int)  # (R,), of inertia, cosine, sine and constant
@@ -96,8 +100,8 @@ def _columns(joint, j):
 def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     """Estimate the arm of recordings; the robot's kind, lengths and frames are relied on."""
     n = robot.n_joints
-    motors = [axis_fit.fit_motor(recordings, j) if two_sided(recordings, j) else None
-              for j in range(n)]
+    equations = [motor_equation_of(recordings, j) for j in range(n)]
+    motors = [one and one.fit() for one in equations]
     robot = replace(robot, arm=with_motors(robot.arm, motors))
     if robot.arm.frames or robot.arm.kind == 'planar' and n > 1:
         return _of_chain(recordings, robot, motors)
@@ -124,17 +128,11 @@ def _of_chain(recordings, robot, motors):
     fit = fit_base_parameters(recordings, robot)
     rows = base_estimates(fit, robot.joints)
     for j, motor in enumerate(motors):
-        rows[j] = (*rows[j], *_motor_rows(motor, robot, j))
+        rows[j] = (*rows[j], *motor_estimates(motor, robot, j))
     if not fit.differences.prior_sd.any():
         rows[0] += (_SCALE,)
     return ArmFit(replace(robot, arm=fit.arm), tuple(map(JointArm, motors)), tuple(rows),
                   fit.differences if robot.arm.frames else None, fit.spread)
-
-
-def two_sided(recordings: Sequence, joint: int) -> bool:
-    """Return whether both sides and the torque of a joint were measured."""
-    return all(np.isfinite(getattr(recording, name)[:, joint]).sum() > 100
-               for recording in recordings for name in ('q_link', 'q_motor', 'tau_motor'))
 
 
 def _drive_of(recordings, arm, joint):
@@ -143,19 +141,6 @@ def _drive_of(recordings, arm, joint):
     if arm.rigid[joint] or not measured:
         return axis_fit.held_torque(joint)
     return axis_fit.spring_torque(joint, arm.stiffness[joint], arm.damping[joint])
-
-
-def with_motors(arm: ArmParams, motors: Sequence) -> ArmParams:
-    """Return an arm with the motor sides found, a MotorFit or None for each joint."""
-    values = {name: getattr(arm, name).copy()
-              for name in ('motor_inertia', 'stiffness', 'damping')}
-    for j, motor in enumerate(motors):
-        if motor is None or arm.rigid[j]:
-            continue
-        for name, value, known in zip(values, motor[:3], motor.believed, strict=True):
-            if known:
-                values[name][j] = value
-    return replace(arm, **values)
 
 
 def with_axis(arm: ArmParams, joint: int, inertia: float, cosine: float, sine: float) -> ArmParams:
@@ -216,7 +201,7 @@ def _axis_numbers(arm, joint, j, theta):
 def arm_estimates(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence,
                   spreads: Sequence) -> list[tuple]:
     """Return the Estimates of the arm, a tuple per joint, those of the whole with the first."""
-    rows = [(*_axis_rows(robot, joint, j, theta, spread), *_motor_rows(joint.motor, robot, j))
+    rows = [(*_axis_rows(robot, joint, j, theta, spread), *motor_estimates(joint.motor, robot, j))
             for j, (joint, theta, spread) in enumerate(zip(
                 arm_fit.joints, thetas, spreads, strict=True))]
     return [(*rows[0], _SCALE), *rows[1:]]
@@ -270,21 +255,3 @@ def _axis_rows(robot, joint, j, theta, spread):
 def _row(name, unit, value, error, meaning, needs):
     known = CONFIDENT * error < WIDE * abs(value) and (value > 0.0 or 'bias' in name)
     return estimated(name, unit, value, error, meaning if known else needs, bool(known))
-
-
-def _motor_rows(motor, robot, j):
-    rows = []
-    if motor is None:
-        return rows
-    for part, unit, value, error, known in zip(
-            ('motor_inertia', 'stiffness', 'damping'), ('kg m^2', 'N m/rad', 'N m s/rad'),
-            motor[:3], motor.error, motor.believed, strict=True):
-        if robot.arm.rigid[j] and part == 'motor_inertia':
-            continue
-        note = '' if known else _NEEDS_MOTOR
-        if not known and motor.skew >= axis_fit.SKEWED:
-            note = ('most of the torsion goes with the velocity, as if the two encoders were read '
-                    'at different times: that looks like a soft spring or damping and is neither')
-        rows.append(estimated(f'arm.{robot.joints[j]}.{part}', unit, value, error, note,
-                              bool(known)))
-    return rows

@@ -1,6 +1,6 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
-A single joint by linear regression of its torque: inertia, gravity, ripple; the motor's side.
+A single joint by linear regression of its torque: inertia, gravity, ripple.
 
 ``u = I q'' + a cos q + b sin q + friction(q')`` holds for torque, angle and its derivatives alike
 when all pass through the same zero-phase filter. Only moving samples count. Friction stands by
@@ -15,11 +15,6 @@ the transmission at all speeds, so that it is neither viscous friction nor inert
 A ripple, a torque periodic in the angle as gears, screws and motors make, is no friction, but
 where it is as large as what separates presliding from the Stribeck curve it replaces both. So it
 is looked for with the inertia, before friction is fitted.
-
-The motor's equation ``u = J q2'' + K (q2 - q1) + d (q2' - q1')`` gives stiffness, motor inertia
-and joint damping, link friction unseen. Columns of a constant and of the velocity stand by: a
-motor's own friction, and an encoder that is read late, which adds ``K delay q'`` and looks like
-damping.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -29,8 +24,6 @@ from typing import NamedTuple
 from gms_flex_control.data.signal_analysis import (
     derivative_window,
     means_to_next,
-    noise_of,
-    rms,
     smoothed,
     standing_out,
 )
@@ -45,12 +38,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 RIPPLE = TorqueRipple.name
-SKEWED = 0.3       # part of the deflection's torque that goes with the velocity, at most
-_FEWEST = 60       # moving rows
+FEWEST = 60        # samples, moving
 _SURELY = 3.0      # standard errors, and part of an inertia, by which a wider filter must show
 _LARGER = 0.25     # more of it
 _WIDEST = 4        # times the usual filter
-_NOISE_SD = 0.5    # to which the share of the torsion's variance that is noise is known
 COULOMB = [0, 4]   # columns of friction_regressors of Coulomb friction forward and backward
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
@@ -64,8 +55,6 @@ _RIPPLE_ROUNDS = 4    # of order and all else in turn
 _ABOUT = 0.5       # of a wave over the range of angles: how far an order is looked for
 _PLACES = (1, 2)   # orders of friction that varies with the angle, beside friction by load
 _LOADINGS = 3      # rounds of the torque carried and what friction it makes
-_EXPLAINED = 0.9   # of the torque's variance, for stiffness and motor inertia to be believed
-_SMALLEST = 0.005  # of the torque: a smaller part may be what the model lacks
 
 
 class AxisSamples(NamedTuple):
@@ -174,7 +163,7 @@ def rows_that_agree(recordings: Sequence, drive: Callable, joint: int, turns: bo
 def _any_inertia(rows, turns):
     """Return the inertia beside all that may be there, and its standard error; NaN of few rows."""
     moves = _in_motion(rows)
-    if moves.sum() < _FEWEST:
+    if moves.sum() < FEWEST:
         return np.nan, np.nan
     rate, angle = rows.rate[moves], rows.angle[moves]
     gravity = [np.cos(angle), np.sin(angle)] if turns else []
@@ -260,7 +249,7 @@ def fit_axis(rows: AxisSamples, joint: str, source: str, wave: np.ndarray | None
 def _moving(rows, joint, source):
     """Return in which rows an axis moves, bool (S,); IdentificationError where that shows none."""
     moving = _in_motion(rows)
-    if moving.sum() < _FEWEST:
+    if moving.sum() < FEWEST:
         raise IdentificationError(f'{source}: {joint} moves in {moving.sum()} samples only; '
                                   'record longer motion to identify its inertia')
     torque = rows.torque[moving]
@@ -409,94 +398,3 @@ def _waves_of(recordings, joint, wider, order):
                            wider * derivative_window(recording.time, angle))
         parts.append(np.stack([signal.value for signal in signals], axis=1))
     return np.concatenate(parts)
-
-
-class MotorFit(NamedTuple):
-    """The motor's side of one flexible joint."""
-
-    motor_inertia: float   # J [kg m^2]
-    stiffness: float       # K [N m/rad]
-    damping: float         # d [N m s/rad]
-    error: np.ndarray      # (3,), standard errors
-    explained: float       # share of the torque's variance
-    skew: float            # torque that goes with the velocity, of that of the deflection
-    share: np.ndarray      # (3,), torque of each part over the whole
-
-    @property
-    def believed(self) -> np.ndarray:
-        """Return which of J, K and d are identifiable, bool (3,)."""
-        values = np.array(self[:3])
-        known = (values > CONFIDENT * self.error) & (self.share > _SMALLEST)
-        return known & (self.explained > _EXPLAINED) & (self.skew < SKEWED)
-
-
-def fit_motor(recordings: Sequence, joint: int) -> MotorFit | None:
-    """Fit the motor's equation of one joint, both sides and torque measured; None of too few."""
-    rows = _motor_rows(recordings, joint)
-    if rows is None:
-        return None
-    target, columns, block, _ = rows
-    values, error = solution(columns, target, block)
-    explained = 1.0 - np.var(target - columns @ values) / max(np.var(target), 1e-300)
-    skew = abs(values[4]) * np.std(columns[:, 4]) / max(
-        abs(values[1]) * np.std(columns[:, 1]), 1e-300)
-    share = np.abs(values[:3]) * np.std(columns[:, :3], axis=0) / max(np.std(target), 1e-300)
-    return MotorFit(*map(float, values[:3]), error[:3], float(explained), float(skew), share)
-
-
-class SpringFit(NamedTuple):
-    """What the motor's equation says of a spring, the inertia being known."""
-
-    stiffness: float       # [N m/rad]
-    error: float           # its standard error
-    left: Callable         # stiffness -> rms torque that any leaves [N m]
-    constant: float        # torque that the motor gives and neither side takes [N m]
-    constant_error: float  # its standard error
-
-
-def fit_spring(recordings: Sequence, joint: int, inertia: float, sd: float) -> SpringFit | None:
-    """
-    Return the SpringFit of a joint; None where too little was measured.
-
-    The motor's ``inertia`` is known to ``sd`` [kg m^2].
-    """
-    rows = _motor_rows(recordings, joint)
-    if rows is None:
-        return None
-    target, columns, block, noise = rows
-    target, others = target - inertia * columns[:, 0], columns[:, 1:]
-    values, errors = solution(others, target, block)
-    alone = np.column_stack([target, others[:, 0], columns[:, 0]])
-    alone -= others[:, 1:] @ np.linalg.lstsq(others[:, 1:], alone, rcond=None)[0]
-    torque, torsion, motor = alone.T
-    seen = torsion @ torsion - noise @ noise  # noise of the torsion would make it softer
-    if seen <= 0.0:
-        return None
-    stiffness, by_inertia = torque @ torsion / seen, motor @ torsion / seen
-    by_noise = _NOISE_SD * stiffness * (noise @ noise) / seen
-    return SpringFit(
-        float(stiffness), float(np.sqrt(errors[0] ** 2 + (by_inertia * sd) ** 2 + by_noise ** 2)),
-        lambda other: float(rms(torque - other * torsion)), float(values[2]), float(errors[2]))
-
-
-def _motor_rows(recordings, joint):
-    """
-    Return torque, columns of the motor's equation, blocks of time, and noise; None of too few.
-
-    Columns are of motor inertia, stiffness, damping, a constant, and the motor's own friction;
-    the noise is one like that of the torsion.
-    """
-    drive, rng = held_torque(joint), np.random.default_rng(joint)
-
-    def signals(one):
-        sides = [one.q_motor[:, joint], one.q_link[:, joint]]
-        noise = np.hypot(*map(noise_of, sides)) * rng.standard_normal(len(one.time))
-        return sides, [drive(one), noise]
-    parts = [np.stack([torque.value, motor.second, motor.value - link.value,
-                       motor.first - link.first, np.ones(len(block)), link.first,
-                       np.sign(link.first), block, noise.value])
-             for (motor, link, torque, noise), block in filtered(recordings, signals)]
-    if not parts or sum(part.shape[1] for part in parts) < _FEWEST:
-        return None
-    table = np.concatenate(parts, axis=1)
-    return table[0], table[1:7].T, table[7].astype(int), table[8]

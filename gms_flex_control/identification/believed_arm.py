@@ -13,17 +13,16 @@ from typing import NamedTuple
 from gms_flex_control.data.recording import later, Recording
 from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.effects.catalogue.reading import RecordingDelay
-from gms_flex_control.identification.arm_fit import two_sided
 from gms_flex_control.identification.arm_regression import ArmRegression, DELAY, driven_arm
 from gms_flex_control.identification.arm_rows import SLIPS, SPRINGY
 from gms_flex_control.identification.assumed_robot import only_joints
-from gms_flex_control.identification.axis_fit import fit_spring
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     base_of,
     IN_PLANE,
     sizes_of_body,
 )
+from gms_flex_control.identification.motor_equation import motor_equation_of
 from gms_flex_control.identification.objective import friction_along
 from gms_flex_control.identification.robust_regression import heavy_tailed
 from gms_flex_control.identification.segments import driven
@@ -141,8 +140,9 @@ def _spring_fits(recordings, robot, springs):
     """Return SpringFits by joint; a joint with effects has none, the equation may have any."""
     inertia, sd = robot.arm.motor_inertia, known_to(robot, 'motor_inertia')
     plain = [all(spec.joint != joint for spec in robot.effects) for joint in robot.joints]
-    fits = {j: fit_spring(recordings, j, inertia[j], sd[j] * inertia[j])
-            for j in np.flatnonzero(springs & plain) if two_sided(recordings, j)}
+    equations = {j: motor_equation_of(recordings, j) for j in np.flatnonzero(springs & plain)}
+    fits = {j: one and one.fit_spring(inertia[j], sd[j] * inertia[j])
+            for j, one in equations.items()}
     return {j: fit for j, fit in fits.items() if fit}
 
 

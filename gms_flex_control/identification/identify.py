@@ -114,9 +114,9 @@ def _checked(recording, model, options):
     Such links move as their motors drive them.
     """
     whole, seen = options.estimate == 'all', with_links_if_known(recording, model)
-    for finding in require(seen, model, force=options.force, rough=whole):
-        if finding.kind != 'torque_scale' or not whole:
-            warnings.warn(finding.text, stacklevel=3)
+    for fault in require(seen, model, force=options.force, rough=whole):
+        if fault.kind != 'torque_scale' or not whole:
+            warnings.warn(fault.text, stacklevel=3)
     if seen is recording:
         return recording
     computed = recording.motors_alone & seen.links_seen

@@ -12,7 +12,7 @@ from gms_flex_control.schema.build import controller_values
 from gms_flex_control.tuning.linear_loop import linear_loop
 from gms_flex_control.tuning.margins import joint_margins, open_loop, poses
 from gms_flex_control.tuning.propose import link_bandwidth
-from gms_flex_control.tuning.trial import MOTIONS
+from gms_flex_control.tuning.study import MOTIONS
 from matplotlib.figure import Figure
 import numpy as np
 
