@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, driven_motion, likelihood_of, retuned_of
+from gms_flex_control.data.signal_analysis import FOLDS
 from gms_flex_control.discrepancy import findings
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.fitting import extended, fit, foreseen
@@ -15,7 +16,6 @@ from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.discrepancy.validation import (
-    FOLDS,
     Gain,
     gain_of,
     gain_over,

@@ -10,8 +10,8 @@ from time import perf_counter
 from typing import NamedTuple
 
 from bench.chain_matrices import matrices
+from gms_flex_control.data.signal_analysis import BLOCK_TIME
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
-from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.simulation.predictor import ATTRACTION, BLOCKS
 import numpy as np
 from scipy.optimize import minimize

@@ -11,10 +11,28 @@ from scipy.linalg import lstsq
 from scipy.ndimage import correlate1d, uniform_filter1d
 from scipy.optimize import nnls
 
+# Windows of filters [s]. A local cubic fit, see `derivatives`:
+RATE_WINDOW = 0.034    # from which residual torques take rates and accelerations
+EFFECT_WINDOW = 0.05   # likewise known effects, where friction is fitted beside them
+TORSION_WINDOW = 0.05  # rate of the deflection of a spring
+AGREE_WINDOW = 0.2     # at least, where spring and motor torque are compared: a controller answers
+#                        the steps of encoders with torque that is over before one sees it move
+_CUBIC_WINDOWS = 0.02, 0.4  # of `smoothing_window`, which follows the noise
+# Four moving averages, see `low_pass` and `smoothed`:
+LINKS_WINDOW = 0.05    # at least, in the regression of an arm: the noise of encoders grows with
+#                        the square of frequency, motion determines inertia far below 9 Hz, its end
+UNSEEN_BAND = 1.0, 20.0  # in which the angle of a link without encoder is computed [Hz]
+_BELL_WINDOWS = 0.1, 1.0  # of `derivative_window`, which follows the encoder's steps
+SETTLED = 0.5          # at both ends of a recording, after which filters have settled
+
+# Blocks of time: errors within one depend on each other, as long as friction remembers
+BLOCK_TIME = 2.0       # [s]
+FOLDS = 5              # one in so many blocks is left out, each in turn
+FRICTION_FOLDS = 4     # likewise, where a fit of friction through the predictor is repeated
+
 MOVING = 0.02        # below this part of the top speed a direction is not relied on
 _ORDER_STEPS = 20    # resolution steps a derivative window should travel at top speed
-_SHORTEST, _LONGEST = 0.1, 1.0  # of a derivative window [s]
-_BLOCK = 0.25        # in which a speed is looked for [s]
+_SPEED_TIME = 0.25   # in which a speed is looked for [s]
 NORMAL_MEDIAN = 0.6745  # of the size of a normal variable, in standard deviations
 
 
@@ -53,13 +71,13 @@ def derivative_window(time, position) -> float:
     """Return the length of a filter window, 0.1 to 1 s, that sees motion through encoder steps."""
     known = np.isfinite(position)
     t, q = time[known], position[known]
-    blocks = np.flatnonzero(np.diff(np.floor(t / _BLOCK), prepend=-1.0)) if len(t) else t
+    blocks = np.flatnonzero(np.diff(np.floor(t / _SPEED_TIME), prepend=-1.0)) if len(t) else t
     if len(blocks) < 3:
-        return _SHORTEST
+        return _BELL_WINDOWS[0]
     travel = np.maximum.reduceat(q, blocks) - np.minimum.reduceat(q, blocks)
-    top = np.quantile(travel, 0.9) / _BLOCK
-    wanted = _ORDER_STEPS * quantum(position) / top if top > 0 else _LONGEST
-    return float(np.clip(wanted, _SHORTEST, _LONGEST))
+    top = np.quantile(travel, 0.9) / _SPEED_TIME
+    wanted = _ORDER_STEPS * quantum(position) / top if top > 0 else np.inf
+    return float(np.clip(wanted, *_BELL_WINDOWS))
 
 
 def smoothed(time, signals, window) -> list[Derivatives]:
@@ -209,7 +227,6 @@ def _peaks(orders, power, lowest, highest, apart):
 
 
 _ORDER = 3            # of the local fit of `derivatives`
-_SHORTEST_CUBIC, _LONGEST_CUBIC = 0.02, 0.4  # of a window of a local fit [s]
 _TORQUE_NOISE = 0.02  # of the usual torque: what noise of the acceleration may amount to
 _BANDWIDTH = 0.226  # of four moving averages in a row, times the length of one
 _CUBIC_NOISE = np.sqrt(720.0)  # of a second derivative, times window^-2.5 and step^-2
@@ -254,13 +271,13 @@ def smoothing_window(period: float, noise: float, inertia: float, torque: float)
     """
     allowed = max(_TORQUE_NOISE * torque, 1e-300)
     length = (_CUBIC_NOISE * noise * inertia / allowed / period ** 2) ** 0.4
-    length = np.clip(length, _SHORTEST_CUBIC / period, _LONGEST_CUBIC / period)
-    return odd_window(length)
+    shortest, longest = _CUBIC_WINDOWS
+    return odd_window(np.clip(length, shortest / period, longest / period))
 
 
-def odd_window(length: float, least: int = 5) -> int:
-    """Return an odd number of samples near a length, ``least`` at least."""
-    return max(2 * round(length / 2) + 1, least)
+def odd_window(length: float) -> int:
+    """Return an odd number of samples near a length, 5 at least."""
+    return max(2 * round(length / 2) + 1, 5)
 
 
 def white_noise_of(signal: np.ndarray) -> float:

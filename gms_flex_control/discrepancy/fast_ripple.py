@@ -30,7 +30,7 @@ from scipy.optimize import minimize_scalar
 
 _SAMPLES_PER_WAVE = 4.0  # at the usual speed
 _READINGS_PER_WAVE = 8.0  # counts of the motor's encoder, or standard deviations of its noise
-_BLOCK = 0.5          # of time: errors of prediction remember nothing [s]
+_INDEPENDENT = 0.5    # blocks of time: errors of prediction remember little [s]
 _ABOUT = 1.5          # of what the span of angles resolves: an order is looked for so far about
 _RIDGE = 1e-6         # of the power: frequencies without any have no filter
 
@@ -130,8 +130,8 @@ class _Equation:
             time = motion.time - motion.time[0]
             used = motion.settled & minimum_filter1d(motion.known, memory + 1, origin=memory // 2)
             self._used.append(used)
-            blocks.append(first + (time[used] / _BLOCK).astype(int))
-            first += int(time[-1] / _BLOCK) + 1
+            blocks.append(first + (time[used] / _INDEPENDENT).astype(int))
+            first += int(time[-1] / _INDEPENDENT) + 1
         self._block = np.unique(np.concatenate(blocks), return_inverse=True)[1]
         rate = np.concatenate([one[used] for one, used in zip(self._rates, self._used,
                                                               strict=True)])

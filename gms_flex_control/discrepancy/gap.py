@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from gms_flex_control import friction as gms
 from gms_flex_control.compiled import compiled
+from gms_flex_control.data.signal_analysis import FOLDS
 from gms_flex_control.discrepancy.fitting import at_values, numbers_of, values_of
 from gms_flex_control.discrepancy.null_simulation import STEP
 from gms_flex_control.discrepancy.residuals import (
@@ -20,7 +21,7 @@ from gms_flex_control.discrepancy.residuals import (
 from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.thresholds import INERTIAL
 from gms_flex_control.discrepancy.torque_noise import drawn_noise
-from gms_flex_control.discrepancy.validation import FOLDS, steps
+from gms_flex_control.discrepancy.validation import steps
 from gms_flex_control.effects import base as sig
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.params.robot import with_effects

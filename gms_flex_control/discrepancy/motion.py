@@ -6,7 +6,13 @@ from functools import cached_property
 from typing import Any, Self
 
 from gms_flex_control import records
-from gms_flex_control.data.signal_analysis import held_triangle, second_difference
+from gms_flex_control.data.signal_analysis import (
+    held_triangle,
+    odd_window,
+    RATE_WINDOW,
+    second_difference,
+    SETTLED,
+)
 from gms_flex_control.discrepancy import samples as sampling
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects.base import Scales, Travel
@@ -17,7 +23,6 @@ WORKING_PERIOD = 4e-3  # sample at which the equations are formed, if the record
 _STANDING = 0.2        # a link stands that its encoder does not see move for so long [s]
 _ONE_COUNT = 1.5       # counts: the reading goes to and fro between two
 _DEVIATIONS = 6.0      # of noise: so far apart readings of a link at rest lie
-_EDGE = 0.5            # at both ends, where smoothing is not settled [s]
 _MOST_KEPT = 16        # torques along a motion that are kept
 
 
@@ -68,7 +73,7 @@ class Motion:
     def settled(self) -> np.ndarray:
         """Return which samples (S,) were read and are settled after smoothing, bool."""
         middle = 0.5 * (self.time[0] + self.time[-1])
-        return self.known & (np.abs(self.time - middle) < 0.5 * np.ptp(self.time) - _EDGE)
+        return self.known & (np.abs(self.time - middle) < 0.5 * np.ptp(self.time) - SETTLED)
 
     @cached_property
     def push(self) -> np.ndarray:
@@ -128,7 +133,8 @@ def make_motion(samples, factor=None) -> Motion:
         torsion_rest=torsion - filtered_alike(
             thin[:, 3] - thin[:, 0], weight_of_neighbours(factor)),
         standing=standing(link, samples.noise[0], period)[::factor],
-        known=minimum_filter1d(samples.known, sampling.smoothing(period) + 4 * factor)[::factor])
+        known=minimum_filter1d(
+            samples.known, odd_window(RATE_WINDOW / period) + 4 * factor)[::factor])
 
 
 def at_full_rate(motion) -> Motion:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
+from gms_flex_control.data.signal_analysis import BLOCK_TIME
 from gms_flex_control.discrepancy.describe import torque_scale
 from gms_flex_control.discrepancy.evidence import finite, NormalEquations
 from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
@@ -18,7 +19,6 @@ from gms_flex_control.discrepancy.result import Signature
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
 from gms_flex_control.discrepancy.torque_noise import excess_torque
 from gms_flex_control.discrepancy.validation import folds, gain_over, of_blocks
-from gms_flex_control.discrepancy.whitening import BLOCK
 import numpy as np
 
 _BINS = 24
@@ -88,7 +88,7 @@ def predicted_share(places, visits, residual) -> float:
 def _predicted_by(name, values, residual, period):
     """Return `predicted_share` of bins of a variable, of time each in two parts."""
     if name == 'time':
-        parts = (np.arange(len(residual)) * period / BLOCK).astype(int)
+        parts = (np.arange(len(residual)) * period / BLOCK_TIME).astype(int)
         return predicted_share(parts // 2, parts, residual)
     places = np.searchsorted(_edges(values), values)
     return predicted_share(places, np.cumsum(np.diff(places, prepend=places[0]) != 0), residual)
@@ -289,7 +289,8 @@ def _shapes(likelihood, j):
             continue
         values = [one[name] for one in (own if name in _OF_FUNCTIONS else others)]
         # a block of time that is left out must not hold a knot alone
-        knots = int(np.clip(longest / (2.0 * BLOCK), 3, _OF_TIME)) if name == 'time' else _KNOTS
+        knots = int(np.clip(longest / (2.0 * BLOCK_TIME), 3, _OF_TIME)
+                    ) if name == 'time' else _KNOTS
         at = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, knots)))
         found[name] = partial(_along, values, at)
         if name in _READ:

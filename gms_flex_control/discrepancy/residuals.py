@@ -13,9 +13,14 @@ from functools import cache, partial
 from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
-from gms_flex_control.data.signal_analysis import derivatives, low_pass, second_difference
+from gms_flex_control.data.signal_analysis import (
+    derivatives,
+    low_pass,
+    odd_window,
+    RATE_WINDOW,
+    second_difference,
+)
 from gms_flex_control.discrepancy.motion import filtered_alike, weight_of_neighbours
-from gms_flex_control.discrepancy.samples import smoothing
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table as effect_table
@@ -193,7 +198,8 @@ def _with_unseen_links(motion, constants, drive):
             moved = low_pass(
                 filtered_alike(begun, weight) + on_motor[:, j] / stiffness[:, j],
                 max(round(link.window / motion.factor), 2)) - begun
-            rates = derivatives(moved, motion.period, smoothing(motion.period), (1, 2))
+            rates = derivatives(
+                moved, motion.period, odd_window(RATE_WINDOW / motion.period), (1, 2))
             for order, change in enumerate((moved, *rates)):
                 states[:, order, j] += change
             second[:, 0, j] += second_difference(moved, motion.period)

@@ -22,7 +22,6 @@ from gms_flex_control.params.arm import at_last_link, Body, carrying, why_not_ca
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 
-_WINDOW = 0.034        # of the smoothing that velocities come from [s]
 _FINE = 20.0           # times a count's own noise: smaller steps are not those of an encoder
 _LONGEST_HOLE = 5.5    # samples: readings farther apart are not bridged
 _SETTLED = 0.3         # after a hole, until friction is that of the motion seen [s]
@@ -106,15 +105,11 @@ def make_samples(joints, time, period, readings, command, supply, commanded, sou
         j = link.joint
         readings[:, 0, j] = link.angle(readings[:, 1, j], command[:, j], period)
     noise = np.sqrt(np.mean(np.diff(readings, 3, axis=0) ** 2, axis=0) / 20.0)
-    states = np.stack(analysis.derivatives(readings, period, smoothing(period)), axis=2).reshape(
+    states = np.stack(analysis.derivatives(
+        readings, period, analysis.odd_window(analysis.RATE_WINDOW / period)), axis=2).reshape(
         len(time), 6, len(joints))
     return Samples(tuple(joints), time, period, readings, np.ascontiguousarray(states), noise,
                    np.ones(len(time), dtype=bool), command, supply, commanded, source, unseen)
-
-
-def smoothing(period) -> int:
-    """Return the samples of the smoothing that velocities come from."""
-    return max(2 * round(0.5 * _WINDOW / period) + 1, 5)
 
 
 def encoder_step(angle, noise) -> float:

@@ -11,14 +11,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.data.signal_analysis import runs
+from gms_flex_control.data.signal_analysis import FOLDS, runs
 from gms_flex_control.discrepancy.fitting import numbers_of, steps_without
 from gms_flex_control.discrepancy.motion import at_full_rate
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import FEW_BLOCKS, HELD_OUT_NATS, PLAUSIBLE
 import numpy as np
 
-FOLDS = 5
 _DEGREES = 4.0        # of freedom of Student's distribution
 _ACTS = 0.02          # of what an effect changes at most in a block: with less it is not there
 _MEMORY = 0.08        # of earlier errors that the next is predicted from [s]

@@ -9,19 +9,18 @@ encoder counts, and in motion it is not. The numbers that come out are all alike
 and few.
 """
 
+from gms_flex_control.data.signal_analysis import BLOCK_TIME, SETTLED
 import numpy as np
 from scipy import fft
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
 HIGHEST = 20.0        # frequency that is looked at [Hz]
 TORQUE_BAND = 8.0     # up to which torques are reported [Hz]
-_EDGE = 0.5           # at both ends, where filters are not settled [s]
 _BINS = 1.0           # Hz, over which a spectrum is taken as even
 _OCTAVES = 4          # below HIGHEST; the rest is slow
 _MOMENT = 0.3         # s, over which the scale in time is taken as even
 _FEWEST = 3           # rows of an octave, likewise
 _RAMP = 0.1           # s, from where an equation says nothing to where it does
-BLOCK = 2.0           # of time, left out as a whole: longer than friction remembers [s]
 _FEWEST_SEEN = 40     # residuals of a group that show a noise level
 
 
@@ -37,7 +36,7 @@ class Band:
         self.rows = max(2 * min(int(HIGHEST * length), samples // 2) // step, 1) * step
         self.bins = self.rows // 2
         ramp = max(round(_RAMP / period), 1)
-        self._window = (_taper(samples, round(_EDGE / period)) * uniform_filter1d(
+        self._window = (_taper(samples, round(SETTLED / period)) * uniform_filter1d(
             minimum_filter1d(known.astype(float), ramp), ramp))[:, None]
 
     def spectra(self, residuals) -> np.ndarray:
@@ -90,7 +89,7 @@ class Whitening:
         return 1.0 / np.sqrt(square)
 
     def _away_from_ends(self, time):
-        return (time >= _EDGE) & (time <= self.time[-1] - _EDGE)
+        return (time >= SETTLED) & (time <= self.time[-1] - SETTLED)
 
     def _both_sides(self, spectrum):
         """Return a spectrum (F, C) with its negative frequencies (S, C)."""
@@ -231,7 +230,7 @@ class Groups:
                 (time / motion.period).astype(int), len(motion.standing) - 1)]
                 for time in (whitening.row_time, whitening.time))
             group = (whitening.part[:, None] * shape[1] + channel) * 2 + np.tile(still, 2)
-            count = max(round(end / BLOCK), 2)
+            count = max(round(end / BLOCK_TIME), 2)
             block, block_at = (self.blocks + np.minimum(
                 (time * count / end).astype(int), count - 1)
                 for time in (whitening.row_time, whitening.time))

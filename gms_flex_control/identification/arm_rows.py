@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
-from gms_flex_control.data.signal_analysis import low_pass, means_to_next
+from gms_flex_control.data.signal_analysis import BLOCK_TIME, LINKS_WINDOW, low_pass, means_to_next
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_differences import (
@@ -20,7 +20,6 @@ from gms_flex_control.identification.arm_differences import (
 )
 from gms_flex_control.identification.axis_fit import friction_regressors
 from gms_flex_control.identification.inertial_parameters import link_regressors
-from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.robust_regression import solution
 from gms_flex_control.identification.segments import (
     filled,
@@ -40,8 +39,6 @@ SPRINGY = (0.03, 0.12, 0.5, 2.0)  # likewise: soft blocks, along a sinusoid much
 _LOW = (0.1, 0.2, 0.4)  # of the usual rate: how fast a joint leaves its friction at low speed
 _BETWEEN = 4        # steps from one sample to the next of a friction that jumps
 _LAG = 0.05         # by which that is late, F_c / C of common machines [s]
-_SMOOTHED = 0.05    # window of the low-pass, at least [s]: the noise of encoders grows with the
-#                     square of frequency, motion determines inertia well below the 9 Hz that pass
 _SURE = 3.0        # standard errors from which a torque shows what its links require
 _DESCRIBED_SD = 0.5  # of the logarithm of a scale, around what the masses described give
 _ALIKE_SD = 1.0    # and of scales of the joints of one arm, around each other
@@ -100,7 +97,7 @@ def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None,
 def _segment_rows(segment, arm, lead, recording, ways, motors, slopes_of):
     """Return what ArmSamples has of a segment, blocks from 0; None of one too short."""
     every = 2 * (segment.window // (2 * _THINNING)) + 1
-    window = max(max(segment.window, round(_SMOOTHED / recording.period)) // every, 1)
+    window = max(max(segment.window, round(LINKS_WINDOW / recording.period)) // every, 1)
     motion, torque = _differences(segment, every, recording.period)
     angle = motion[0]
     if len(angle) <= 4 * window:

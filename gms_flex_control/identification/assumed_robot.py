@@ -15,7 +15,12 @@ import warnings
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import derivatives, means_to_next, odd_window
+from gms_flex_control.data.signal_analysis import (
+    derivatives,
+    EFFECT_WINDOW,
+    means_to_next,
+    odd_window,
+)
 from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
@@ -39,7 +44,6 @@ import numpy as np
 
 _FRICTION, _LINK, _MOTOR = int(Stage.FRICTION), int(Stage.LINK), int(Stage.MOTOR)
 _ON_LINK = (Stage.TORSION, Stage.SPRING, Stage.FRICTION, Stage.LINK, Stage.MOTOR)
-_WINDOW = 0.05        # of the rates and accelerations that effects look at [s]
 _HELD = 1.9           # samples from one change to the next: the source is slower than the log
 _EVENLY = 0.9         # of such changes that come at even intervals, within a sample
 _CLEARINGS = 3        # of a motion from errors of its encoders
@@ -250,7 +254,7 @@ def _state(robot):
 
 def _motion(time, q_link, q_motor, period):
     """Return angle, rate and acceleration of links, then motors, shape (T, 6, n)."""
-    columns, window = [], odd_window(_WINDOW / period)
+    columns, window = [], odd_window(EFFECT_WINDOW / period)
     for link, motor in zip(q_link.T, q_motor.T, strict=True):
         for angle in (link, motor if np.isfinite(motor).any() else link):
             known = np.isfinite(angle)

@@ -22,6 +22,7 @@ from functools import partial
 from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import (
+    BLOCK_TIME,
     derivative_window,
     means_to_next,
     smoothed,
@@ -29,7 +30,6 @@ from gms_flex_control.data.signal_analysis import (
 )
 from gms_flex_control.effects.catalogue.drive import TorqueRipple
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.outcome import CONFIDENT
 from gms_flex_control.identification.prediction_error import FEWEST_WAVES
 from gms_flex_control.identification.robust_regression import held_out_error, SLOWEST, solution

@@ -14,13 +14,12 @@ from collections.abc import Callable
 from functools import cache, partial
 from typing import NamedTuple
 
-from gms_flex_control.data.signal_analysis import rms
+from gms_flex_control.data.signal_analysis import FRICTION_FOLDS, rms
 from gms_flex_control.identification.coordinates import DROP
 from gms_flex_control.identification.least_squares import fit_torque, prior_of, refine, TorqueError
 from gms_flex_control.identification.objective import (
     coarser,
     everything,
-    FOLDS,
     held_out,
     Objective,
     train,
@@ -240,7 +239,8 @@ def _trials(bundle):
     period = bundle.period
     if period * sum(len(segment.angle) for segment in bundle.segments) > _SHORT:
         return ((_Look(train(period), held_out(period)),),)
-    turns = tuple(_Look(train(period, turn), held_out(period, turn)) for turn in range(FOLDS))
+    turns = tuple(_Look(train(period, turn), held_out(period, turn))
+                  for turn in range(FRICTION_FOLDS))
     return (_Look(train(period), everything),), turns
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple, Self
 
 from gms_flex_control import friction as gms
 from gms_flex_control import records
+from gms_flex_control.data.signal_analysis import BLOCK_TIME, FRICTION_FOLDS
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
 from gms_flex_control.identification.friction_map import friction_torque
@@ -21,8 +22,6 @@ from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.simulation import plant, predictor
 import numpy as np
 
-BLOCK_TIME = 2.0      # samples are pooled over this for errors that are not independent [s]
-FOLDS = 4             # one in so many blocks of time is held out
 _LOAD_PER_STEP = 0.3  # of F_c: torque the observer corrects with per step of the encoder
 _SLOWEST, _FASTEST = 2.0, 100.0  # of the observer [rad/s]
 _FASTEST_STEP = 0.3   # radians of the observer per sample
@@ -54,7 +53,7 @@ def held_out(period: float, turn=0) -> Callable:
     """Return a function Segment -> bool (T,) of the samples not to be fitted in a turn."""
     length = block_length(period)
     return lambda segment: (segment.first_block + np.arange(len(segment.angle)) // length
-                            ) % FOLDS == FOLDS - 1 - turn
+                            ) % FRICTION_FOLDS == FRICTION_FOLDS - 1 - turn
 
 
 def train(period: float, turn=0) -> Callable:
@@ -71,7 +70,7 @@ def everything(segment: Segment) -> np.ndarray:
 def numbered(segments: Sequence[Segment], period: float) -> list[Segment]:
     """Return segments with their blocks of time numbered; the last of few is held out."""
     counts = [max(len(segment.angle) * period // BLOCK_TIME, 1.0) for segment in segments]
-    begin = max(FOLDS - int(sum(counts)), 0)
+    begin = max(FRICTION_FOLDS - int(sum(counts)), 0)
     firsts = begin + np.concatenate([[0], np.cumsum(counts)]).astype(int)
     return [replace(segment, first_block=int(first))
             for segment, first in zip(segments, firsts[:-1], strict=True)]

@@ -3,7 +3,7 @@
 
 from collections.abc import Callable, Sequence
 
-from gms_flex_control.data.signal_analysis import NORMAL_MEDIAN
+from gms_flex_control.data.signal_analysis import FOLDS, NORMAL_MEDIAN
 from gms_flex_control.identification.uncertainty import (
     block_sums,
     clustered,
@@ -15,7 +15,6 @@ import numpy as np
 _HUBER = 1.5       # residuals beyond this many standard deviations count less
 _ROUNDS = 8
 _OWN_SCALE = 50    # rows from which a group has a scale of its own: its median is within 15 %
-_FOLDS = 5
 SLOWEST = 0.05    # of the usual rate: below this a joint does not move
 _TAILS = 4.0       # degrees of freedom of a prior: what is known may be wrong
 _SAME = 1e-9       # of the largest singular value: no column of its own
@@ -100,8 +99,8 @@ def first_coefficient(columns: np.ndarray, target: np.ndarray, block: np.ndarray
 def held_out_error(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> float:
     """Return the mean error of predicting each of five sets of blocks from the others."""
     off = np.zeros(len(target))
-    for fold in range(_FOLDS):
-        out = block % _FOLDS == fold
+    for fold in range(FOLDS):
+        out = block % FOLDS == fold
         if out.any() and not out.all():
             root = np.sqrt(robust(columns[~out], target[~out], by_freedom=False)[0])
             values = np.linalg.lstsq(columns[~out] * root[:, None], target[~out] * root,

@@ -21,9 +21,6 @@ SHORTEST = 2.0         # a segment below this is left out [s]
 SETTLE_TIME = 0.5      # at the beginning of one, when the blocks' load is not known [s]
 _BRIDGED = 0.02        # torque is interpolated across gaps up to this, or two periods [s]
 _SPRING_OFF = 0.5    # of the torque's rms: a spring torque further off is not believed
-_AGREE_WINDOW = 0.2    # at least, where spring and motor torque are compared: a controller answers
-#                        the steps of encoders with torque that is over before one sees it move [s]
-_DAMPING_WINDOW = 0.05  # for the rate of the spring deflection [s]
 _OF_SPRING = (Stage.TORSION, Stage.SPRING, Stage.MOTOR)  # effects in the motor equation
 _THIN = 20             # samples from one pose to the next whose inertia is looked at
 _EVEN = 0.02           # stamps within this part of a period of an even grid count as even
@@ -115,7 +112,7 @@ def _spring_mismatch(recording, robot, j):
     # a state has the mean torque of the sample before it
     tau = np.interp(grid, time - 0.5 * period, recording.tau_motor[known, j])
     inertia = max(robot.arm.motor_inertia[j], robot.arm.stiffness[j] * period ** 2)
-    window = max(analysis.odd_window(_AGREE_WINDOW / period), analysis.smoothing_window(
+    window = max(analysis.odd_window(analysis.AGREE_WINDOW / period), analysis.smoothing_window(
         period, analysis.noise_of(q_motor), inertia, np.std(tau)))
     smooth = [analysis.derivatives(x, period, window) for x in (q_link, q_motor, tau)]
     spring = robot.arm.stiffness[j] * (smooth[1][0] - smooth[0][0]) + robot.arm.damping[j] * (
@@ -290,7 +287,7 @@ def _spring(recording, robot, j, grid, time, rows, q_link):
         period = grid[1] - grid[0]
         torsion = q_motor - q_link
         torque = torque + robot.arm.damping[j] * analysis.derivatives(
-            torsion, period, analysis.odd_window(_DAMPING_WINDOW / period))[1]
+            torsion, period, analysis.odd_window(analysis.TORSION_WINDOW / period))[1]
     return analysis.means_to_next(torque)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, Self
 
+from gms_flex_control.data.signal_analysis import FRICTION_FOLDS
 from gms_flex_control.identification.coordinates import (
     Coordinates,
     equal_blocks,
@@ -20,7 +21,6 @@ from gms_flex_control.identification.least_squares import Prior, prior_of, refin
 from gms_flex_control.identification.objective import (
     Bundle,
     Evaluation,
-    FOLDS,
     held_out,
     Objective,
     train,
@@ -133,7 +133,7 @@ def choose(objective: Objective, fits: Sequence, blocks: Sequence) -> tuple:
 def _held_out_costs(objective, fits):
     """Return the cost of each fit in each block of time held out (K, B), and samples in all."""
     costs, count = [], 0.0
-    for turn in range(FOLDS):
+    for turn in range(FRICTION_FOLDS):
         out, fitted = (objective.of(of(objective.bundle.period, turn)) for of in (held_out, train))
         if turn and not (out.counts and fitted.counts):
             continue

@@ -19,7 +19,6 @@ from gms_flex_control.simulation import plant
 import numpy as np
 
 _INERTIA_NOISE = 0.05  # of the usual torque: noise of an unseen link's inertia torque
-_BAND = (1.0, 20.0)    # of the low-pass that limits it [Hz]
 
 
 class UnseenLink(NamedTuple):
@@ -65,8 +64,9 @@ def unseen_links(recording: Recording, robot: RobotParams) -> tuple[UnseenLink, 
         noise = analysis.noise_of(recording.q_motor[:, j])
         density = 2.0 * noise ** 2 * recording.period * carried ** 2
         band = (9.0 * (_INERTIA_NOISE * _usual_torque(recording, j)) ** 2 / density) ** (1.0 / 9.0)
+        lowest, highest = analysis.UNSEEN_BAND
         found.append(UnseenLink(j, stiffness, inertia, analysis.low_pass_window(
-            np.clip(band, *_BAND), recording.period), bool(band >= _BAND[1])))
+            np.clip(band, lowest, highest), recording.period), bool(band >= highest)))
     return tuple(found)
 
 
@@ -105,7 +105,7 @@ def with_links_if_known(recording: Recording, robot: RobotParams) -> Recording:
     flexible = own.motors_alone & ~robot.arm.rigid
     torques = np.isfinite(own.tau_motor[2:]).mean(axis=0) > COVERED
     if not flexible.any() or not torques[flexible].all() or any(
-            finding.severity == 'refuse' for finding in clock(recording)):
+            fault.severity == 'refuse' for fault in clock(recording)):
         return recording
     q_link = recording.q_link.copy()
     q_link[:, [recording.joints.index(joint) for joint in robot.joints]] = with_links(
