@@ -30,6 +30,7 @@ from gms_flex_control.identification.assumed_robot import only_joints, rigid_joi
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
 from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.recording_checks import check
+from gms_flex_control.identification.sampling_checks import doubtful_columns
 from gms_flex_control.params.arm import in_currents, in_units_of
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.reports import discrepancy_values, recordings_page
@@ -46,8 +47,6 @@ import numpy as np
 
 UNLABELLED = 'unlabelled'
 _WIDTH = 96
-# of an angle in rad: beyond two turns, which few joints make, and within two in degrees
-_FEW_TURNS, _DEGREES = 4.0 * np.pi, 720.0
 
 
 def import_csv(args) -> int:
@@ -61,7 +60,7 @@ def import_csv(args) -> int:
         custom['source'] = import_map.source
     write_recording(args.out, log.recording, log.motors, custom=custom)
     names = log.recording.joints
-    found = suspicions(log.recording) + _doubted(log.recording, import_map)
+    found = suspicions(log.recording) + doubtful_columns(log.recording, import_map.joints)
     currents = currents_in(import_map)
     if currents:
         write_text(Path(args.out) / NAME, 'torque_constant:  # N m per unit of effort\n' + ''.join(
@@ -78,22 +77,6 @@ def suspicions(recording) -> list[str]:
     """Return what the checks of `identify` find in a recording of a robot that is not known."""
     found = check(recording.by_motors(), rigid_joints(recording.joints), rough=True)
     return [one.text for one in found if one.kind != 'torque_scale']  # of inertia, not known yet
-
-
-def _doubted(recording, import_map):
-    """Return sentences on torques that are always 0 and angles that look like degrees."""
-    found = []
-    for j, joint in enumerate(import_map.joints):
-        for name, torque in (('torque', recording.tau_motor), ('command', recording.command)):
-            known = torque[np.isfinite(torque[:, j]), j]
-            if len(known) and not known.any():
-                found.append(f'the {name} of {joint.name} is always 0; is it another column?')
-        side = 'link' if 'link_position' in joint.channels else 'motor'
-        most = np.nanmax(np.abs(getattr(recording, f'q_{side}')[:, j]), initial=0.0)
-        if joint.angle.unit == 'rad' and _FEW_TURNS < most <= _DEGREES:
-            found.append(f'{joint.name} turns to {most:.3g} rad, {most / (2.0 * np.pi):.0f} turns;'
-                         ' are these degrees? Then give unit: deg')
-    return found
 
 
 def find_map(name) -> Path:

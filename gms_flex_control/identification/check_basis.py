@@ -38,6 +38,7 @@ SLOPE, SLOPE_FIT = (0.85, 1.15), 0.9            # velocity over derivative, corr
 SLOPE_MILD, SLOPE_MILD_FIT = (0.7, 1.4), 0.8    # likewise: warned about, else refused
 FROZEN, FROZEN_WARN, FROZEN_REFUSE = 5, 0.002, 0.3   # samples; shares repeated in motion
 BEYOND = 2.0                    # times the limits of a URDF: angles that far out are no radians
+TURNS, DEGREES = 4.0 * np.pi, 720.0  # of an angle in rad: between, one is two turns in degrees
 # torque
 CLIPPED_WARN, CLIPPED_REFUSE = 0.005, 0.5  # shares of the moving samples
 CLIP_TRAVEL = 0.05, 0.02        # a joint moves that travels in so long [s] this share of its most

@@ -1,6 +1,8 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Faults of stamps, angles and rates: lost samples, jumps, frozen values, too little motion."""
 
+from collections.abc import Sequence
+
 from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import MOTOR_SUFFIX, Recording
 from gms_flex_control.identification import check_basis as limits
@@ -161,6 +163,22 @@ def units(signals: Recording, robot: RobotParams) -> list[Fault]:
                 f'{limit:.3g}: its angles look like degrees; record radians, or import them with '
                 'their unit (import-csv)'))]
     return []
+
+
+def doubtful_columns(recording: Recording, joints: Sequence) -> list[str]:
+    """Return sentences on torques that are always 0, and angles like degrees, of an ImportMap."""
+    found = []
+    for j, joint in enumerate(joints):
+        for name, torque in (('torque', recording.tau_motor), ('command', recording.command)):
+            known = torque[np.isfinite(torque[:, j]), j]
+            if len(known) and not known.any():
+                found.append(f'the {name} of {joint.name} is always 0; is it another column?')
+        side = 'link' if 'link_position' in joint.channels else 'motor'
+        most = np.nanmax(np.abs(getattr(recording, f'q_{side}')[:, j]), initial=0.0)
+        if joint.angle.unit == 'rad' and limits.TURNS < most <= limits.DEGREES:
+            found.append(f'{joint.name} turns to {most:.3g} rad, {most / (2.0 * np.pi):.0f} turns;'
+                         ' are these degrees? Then give unit: deg')
+    return found
 
 
 def _one_way(source, joint, filtered):

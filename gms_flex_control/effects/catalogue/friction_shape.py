@@ -175,7 +175,7 @@ _ELEMENTS, _FINER = 4, 10.0 ** -0.5  # yields: 1, 0.32, 0.1 and 0.032 of the rea
 
 
 class FrictionHysteresis(Term):
-    """Four elasto-plastic elements on the link angle, of equal force, beside the blocks."""
+    """F -> F + force (z_1 + .. + z_4) / 4, z_i from -1 to 1 following the link over its reach."""
 
     name = 'friction_hysteresis'
     words = "Hysteresis before sliding that reaches farther, or is finer, than the model's blocks"

@@ -98,7 +98,7 @@ class SpringDamping(Term):
 
 
 class SpringHysteresis(Term):
-    """A Maxwell element beside the spring: it yields at a force, after a torsion."""
+    """s -> s + force z, where z from -1 to 1 follows the torsion over the yield."""
 
     name = 'spring_hysteresis'
     words = 'Rate-independent loss in the spring'
