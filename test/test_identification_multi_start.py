@@ -4,8 +4,8 @@
 from dataclasses import replace
 
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
-from gms_flex_control.identification.least_squares import Prior, refine
-from gms_flex_control.identification.multi_start import multi_start, narrower_curves
+from gms_flex_control.identification.friction_fit import narrower_curves
+from gms_flex_control.identification.least_squares import multi_start, Prior, refine
 from gms_flex_control.identification.objective import Evaluation
 from gms_flex_control.simulation.predictor import PER_DIRECTION, VELOCITY
 import numpy as np
@@ -54,7 +54,7 @@ def test_multi_start_finds_the_minimum_that_a_single_fit_misses(seed):
     off = np.abs(np.exp((found.ends[0] - TRUTH)[COORDINATES.yields]) - 1.0).max()
     assert np.abs(alone - TRUTH).max() > 2.0 * np.pi * RIPPLE
     assert off < 0.1
-    assert found.gain > 1.5
+    assert found.improvement > 1.5
 
 
 class Flat(Rippled):
@@ -126,7 +126,7 @@ def test_a_start_in_the_best_hollow_gains_nothing():
     found = multi_start(Rippled(), COORDINATES, (TRUTH,), PRIOR, COUNT,
                         np.random.default_rng(0), 8)
     assert found.ends[0] == pytest.approx(TRUTH, abs=1e-6)
-    assert found.gain == pytest.approx(1.0)
+    assert found.improvement == pytest.approx(1.0)
 
 
 def test_a_multi_start_whose_predictions_all_run_away_still_returns_where_it_began():

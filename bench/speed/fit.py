@@ -18,9 +18,9 @@ from gms_flex_control.experiment.driven import executable
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.file_io import share_path
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
+from gms_flex_control.identification.friction_fit import fit_all, rough_theta
 from gms_flex_control.identification.friction_map import friction_map, start_of
 from gms_flex_control.identification.least_squares import prior_of, refine
-from gms_flex_control.identification.multi_start import fit_all, rough_theta
 from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth
 from gms_flex_control.identification.segments import drive_sides, half_count, segments_of
 from gms_flex_control.schema.files import save_robot

@@ -10,7 +10,7 @@ from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.errors import IdentificationError, own_warnings
 from gms_flex_control.identification import assumed_robot
 from gms_flex_control.identification.criterion import NEXT_TO_NOTHING, WORTH
-from gms_flex_control.identification.multi_start import fit_beside
+from gms_flex_control.identification.friction_fit import fit_beside
 from gms_flex_control.identification.outcome import Identification
 from gms_flex_control.identification.problem import Problem
 from gms_flex_control.identification.recording_checks import require

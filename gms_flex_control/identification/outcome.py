@@ -9,6 +9,8 @@ from typing import NamedTuple
 from gms_flex_control.params.arm import in_currents, in_units
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
+from scipy.special import ndtr
+from scipy.stats import t as student
 
 CONFIDENT = 1.959964  # standard deviations of a normal distribution: 95 %, two-sided
 NOT_IDENTIFIABLE = 'not identifiable'
@@ -52,6 +54,11 @@ def estimated(name: str, unit: str, value: float, error: float | None = None, no
     value, half = float(value), np.nan if error is None or not known else CONFIDENT * float(error)
     return Estimate(name, unit, value, Interval(value - half, value + half),
                     () if known else (NOT_IDENTIFIABLE,), note)
+
+
+def widening(freedom: int) -> float:
+    """Return how much wider a 95 % interval is where so few degrees of freedom give its size."""
+    return float(student.ppf(ndtr(CONFIDENT), freedom)) / CONFIDENT
 
 
 class FrictionMap(NamedTuple):

@@ -15,13 +15,13 @@ from gms_flex_control.identification.arm_regression import fit_differences
 from gms_flex_control.identification.believed_arm import believed
 from gms_flex_control.identification.coordinates import friction_record, STATICS, theta_of
 from gms_flex_control.identification.criterion import choose_fit, left_of_torque, simple_theta
+from gms_flex_control.identification.friction_fit import fit_all
 from gms_flex_control.identification.friction_map import (
     friction_map,
     moves,
     repeatability,
     start_of,
 )
-from gms_flex_control.identification.multi_start import fit_all
 from gms_flex_control.identification.objective import (
     Bundle,
     everything,

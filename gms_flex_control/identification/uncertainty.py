@@ -30,11 +30,10 @@ from gms_flex_control.identification.outcome import (
     NO_INTERVAL,
     NOT_IDENTIFIABLE,
     WELL_KNOWN,
+    widening,
 )
 from gms_flex_control.simulation.predictor import BLOCKS, PER_DIRECTION, VELOCITY
 import numpy as np
-from scipy.special import ndtr
-from scipy.stats import t as student
 
 _VAGUE = np.log(2.0)    # half an interval this wide in the logarithm says nothing
 _NOTHING = 2e-3         # of the friction level: a part this small is at its bound
@@ -92,11 +91,6 @@ def torque_spread(error, coordinates: Coordinates, free: np.ndarray, prior) -> S
     scores = block_sums(slope * off[:, None] / noise, error.block)
     determined = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
     return Spread(clustered(inverse, scores, 1.0), determined)
-
-
-def widening(freedom: int) -> float:
-    """Return how much wider a 95 % interval is where so few degrees of freedom give its size."""
-    return float(student.ppf(ndtr(CONFIDENT), freedom)) / CONFIDENT
 
 
 def block_sums(rows: np.ndarray, block: np.ndarray) -> np.ndarray:

@@ -1,23 +1,18 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
-All friction parameters of a joint refined together, from many starts.
+The fit of all joints' friction: in which order their parameters are sought, and from where.
 
 First come blocks with fixed yield displacements, spread over decades, and free weights: a smooth
 problem that finds the shape of the presliding curve from far away. Then blocks of equal weight
 at the quantiles of that shape, for several N; the data held out choose among them. The observer
 of the predictor is stiff at first and soft in the end: stiff, each innovation depends on the
 last moments only and the cost has hardly any local minimum; soft, it says the most.
-
-Where links stick and slip the cost is rough: a fit ends in one of many local minima. Those near
-the truth lie along a funnel, so that fits from perturbations of the best find a better one until
-none is better. What the good ones differ by is reported as uncertainty.
 """
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 from gms_flex_control.identification.coordinates import (
     Coordinates,
@@ -26,18 +21,20 @@ from gms_flex_control.identification.coordinates import (
     N_STEADY,
     of_direction,
     slipping,
-    with_both_as,
     with_narrow_curves,
 )
 from gms_flex_control.identification.friction_map import Start
 from gms_flex_control.identification.least_squares import (
+    best_from,
     fit_torque,
+    IMPROVEMENT,
+    multi_start,
+    NARROW,
     Prior,
     prior_of,
     refine,
     Refined,
     TorqueError,
-    total_cost,
 )
 from gms_flex_control.identification.objective import Bundle, coarser, Objective, train
 from gms_flex_control.identification.outcome import CONFIDENT
@@ -49,7 +46,6 @@ from gms_flex_control.identification.selection import (
     JointFit,
     objectives_of,
 )
-from gms_flex_control.identification.uncertainty import widening
 from gms_flex_control.simulation.predictor import PER_DIRECTION, VELOCITY
 import numpy as np
 
@@ -57,25 +53,12 @@ COARSE = 4e-3         # sample that is fine enough to find the way [s]
 # of multi-starts in turn, samples [s] and the factor on the observer's bandwidth: with coarse
 # samples and a soft observer, which sees what acts for long, the cost has fewer local minima
 LEVELS = ((8e-3, 0.5), (4e-3, 0.5), (2e-3, 0.5), (2e-3, 1.0))
-GAIN = 1.02           # of the cost, that makes it worth to go on
-KEPT = 4              # ends with coarse samples that fine ones begin from
 _TORQUE_FITS = 2      # the second with blocks in the place of those that never slip
 _BESIDE = 2           # turns of joints that act on each other
 _SPREAD_SHARPNESS = (3.0, 1.0)
 _SOFT = 0.5           # of the observer's bandwidth: another that is right as well
-_PATIENCE, _PATIENCE_LAST = 8, 5  # fits in a row without a gain that end a multi-start
+_PATIENCE, _PATIENCE_LAST = 8, 5  # fits in a row without improvement that end a multi-start
 _MORE_TURNS = 2       # of all joints at the last level, at most
-_MOST = 32            # perturbed fits in all
-_TRIED, _HOPELESS = 3, 1.25  # steps of a fit, and cost over the best beyond which it then ends
-_CARRIED, _POOR = 8, 2.0  # likewise of a fit that begins where one with coarser samples ended
-_STEADY = (0.002, 0.05, 0.02, 0.01)  # perturbation of F_c, F_s - F_c, v_s, sigma_2 (logarithms)
-_BLOCKS, _FINE = 0.05, 0.12  # of attraction and yields; more of those within few counts
-_WIDE = 0.3           # of those together, every other time
-_FEW_COUNTS = 1.5
-_LOST = 10.0          # v_s of one direction over the other's: robots are drawn with 1.6 at most
-_NARROW = (0.002, 0.01, 0.05)  # of the top speed: v_s of curves that begin where both are lost
-_LOST_BLOCK = 3.0     # times its neighbour's yield, or less in that ratio
-_GOOD = 1.15          # times the lowest cost: as good an explanation
 
 
 def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, steps: Sequence[float], *,
@@ -184,7 +167,7 @@ def _search(pool, bundle, fits, levels):
 
     Each has the others as last found. Links of a planar arm act on each other: with a wrong
     friction of one joint the best of another is no minimum at all, or one far from the truth. So
-    they go on in turn while any gains.
+    they go on in turn while any improves.
     """
     looks = [(max(period, bundle.period), softness) for period, softness in levels]
     coupled = bundle.arm.kind == 'planar' and len(fits) > 1
@@ -200,15 +183,15 @@ def _search(pool, bundle, fits, levels):
         tasks = [(objective, fit, np.random.default_rng([turn, objective.joint]), patience,
                   turn == last, turn > last)
                  for objective, fit in zip(objectives_of(level, fits), fits, strict=True)]
-        fits, gains = zip(*pool.map(_searched, *zip(*tasks, strict=True)), strict=True)
-        if turn >= last and max(gains) < GAIN:
+        fits, improvements = zip(*pool.map(_searched, *zip(*tasks, strict=True)), strict=True)
+        if turn >= last and max(improvements) < IMPROVEMENT:
             break
     return fits
 
 
 def _searched(objective, fit, rng, patience, all_ends, again):
     """
-    Return the best JointFit near one, or near all its ends, and how much was gained.
+    Return the best JointFit near one, or near all its ends, and by how much it improved.
 
     What good ends differ by is kept where the same look at the data is repeated (``again``).
     """
@@ -217,7 +200,7 @@ def _searched(objective, fit, rng, patience, all_ends, again):
                         fit.ends if all_ends and fit.ends else (fit.free,), fit.prior,
                         2.0 * bundle.half[objective.joint], rng, patience)
     scatter = np.maximum(found.scatter, fit.sampling) if again else found.scatter
-    return fit._replace(free=found.ends[0], sampling=scatter, ends=found.ends), found.gain
+    return fit._replace(free=found.ends[0], sampling=scatter, ends=found.ends), found.improvement
 
 
 def _finish(objective, fit):
@@ -248,159 +231,16 @@ def narrower_curves(objective: Objective, coordinates: Coordinates, end: Refined
     F_c and of viscous friction, and steps do not lead from it to a narrow one.
     """
     theta, top = coordinates.parameters(end.free), objective.fastest
-    wide = theta[[VELOCITY, PER_DIRECTION + VELOCITY]] > _NARROW[-1] * top
+    wide = theta[[VELOCITY, PER_DIRECTION + VELOCITY]] > NARROW[-1] * top
     if not wide.any():
         return None, np.nan
-    begins = [with_narrow_curves(end.free, share * top) for share in _NARROW]
+    begins = [with_narrow_curves(end.free, share * top) for share in NARROW]
     for begin in begins:
         for way in np.flatnonzero(~wide):
             begin[of_direction(way)] = end.free[of_direction(way)]
         if not wide.all():
             begin[N_STEADY - 1] = end.free[N_STEADY - 1]
     floor = end.evaluation.floor
-    best = _best_from(objective, coordinates, begins, prior, floor)
+    best = best_from(objective, coordinates, begins, prior, floor)
     off = replace(best.evaluation, floor=floor).cost - end.evaluation.cost
     return best, off.sum() / max(off.std() * np.sqrt(len(off)), 1e-12)
-
-
-class MultiStart(NamedTuple):
-    """Outcome of a multi-start."""
-
-    ends: tuple            # of free numbers (P,), the best first
-    scatter: np.ndarray    # (P,), standard deviation of the good ones about the best
-    gain: float            # cost where they began over that of the best
-
-
-def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence, prior,
-                count: float, rng, patience: int) -> MultiStart:
-    """
-    Refine again from perturbations of the best so far, as long as it pays, and keep the best.
-
-    ``starts`` are free numbers, the best first; ``count`` the encoder step or noise [rad]; it ends
-    after ``patience`` fits in a row without a gain. The scatter is as much larger as Student's
-    distribution is wider for so few: what the roughness leaves open.
-    """
-    begin = objective.evaluate(coordinates, starts[0], 1.0)
-    ends = [_with_blocks_together(objective, coordinates, _with_both_curves(
-        objective, coordinates, starts[0], prior), prior)]
-    floor, idle = ends[0].evaluation.floor, 0
-    carried = list(starts[1:])
-    while len(ends) <= _MOST and (carried or idle < patience):
-        best = min(ends, key=lambda end: _cost_above(end, floor, prior))
-        lowest = _cost_above(best, floor, prior)
-        if carried:
-            ends.append(_tried(objective, coordinates, carried.pop(0), prior, floor,
-                               _CARRIED, _POOR * lowest))
-        else:
-            start = best.free + _perturbation(coordinates, best.free, count, rng, len(ends) % 2)
-            ends.append(_tried(objective, coordinates, start, prior, floor, _TRIED,
-                               _HOPELESS * lowest))
-        # what the best explain counts as explained: bad local minima look alike above it
-        floor = min(floor, objective.floor_of(ends[-1].evaluation.square))
-        gain = _cost_above(best, floor, prior) / _cost_above(ends[-1], floor, prior)
-        idle = 0 if gain > GAIN else idle + 1
-    ends.sort(key=lambda end: _cost_above(end, floor, prior))
-    lowest = _cost_above(ends[0], floor, prior)
-    ordered = [_in_order(coordinates, end.free) for end in ends]
-    good = [free for free, end in zip(ordered, ends, strict=True)
-            if _cost_above(end, floor, prior) <= _GOOD * lowest]
-    scatter = widening(max(len(good) - 1, 2)) * np.sqrt(np.mean(
-        np.square(np.array(good) - good[0]), axis=0))
-    gain = total_cost(replace(begin, floor=floor), starts[0], prior) / lowest
-    return MultiStart(tuple(ordered[:KEPT]), scatter, gain)
-
-
-def _best_from(objective, coordinates, begins, prior, floor):
-    """Return the best Refined of those from free numbers to begin with."""
-    ends = [refine(objective, coordinates, begin, prior, roughly=True, floor=floor)
-            for begin in begins]
-    return min(ends, key=lambda one: _cost_above(one, floor, prior))
-
-
-def _with_both_curves(objective, coordinates, free, prior):
-    """
-    Return the Refined from ``free``, a Stribeck curve that is lost begun anew.
-
-    As that of the other direction; where both are wider than motion is fast, as narrow ones.
-    """
-    end = refine(objective, coordinates, free, prior, roughly=True)
-    velocities = coordinates.parameters(end.free)[[VELOCITY, PER_DIRECTION + VELOCITY]]
-    top = objective.fastest
-    if velocities.min() > top:
-        begins = [with_narrow_curves(end.free, share * top) for share in _NARROW]
-    elif velocities.max() > _LOST * velocities.min():
-        begins = [with_both_as(end.free, way) for way in range(2)]
-    else:
-        return end
-    floor = end.evaluation.floor
-    best = _best_from(objective, coordinates, begins, prior, floor)
-    better = GAIN * _cost_above(best, floor, prior) < _cost_above(end, floor, prior)
-    return best if better else end
-
-
-def _with_blocks_together(objective, coordinates, end, prior):
-    """
-    Return the Refined with a block that is lost at either end of the yields beside the others.
-
-    One far stiffer than these breaks away within a count, whatever its yield is, and one far
-    softer hardly slips: the cost is flat there, and steps do not lead back.
-    """
-    for side in (0, -1):
-        for _ in range(coordinates.n_blocks - 1):
-            lost = _lost_block(coordinates, end.free, side)
-            if not lost:
-                break
-            begin = end.free.copy()
-            begin[lost[0]] = end.free[lost[1]]
-            floor = end.evaluation.floor
-            other = refine(objective, coordinates, begin, prior, roughly=True, floor=floor)
-            worse = _cost_above(other, floor, prior) / _cost_above(end, floor, prior)
-            if worse >= (1.0 if _lost_block(coordinates, other.free, side) else GAIN):
-                break
-            end = other
-    return end
-
-
-def _lost_block(coordinates, free, side):
-    """Return the places of a lost block at one end of the yields and of its neighbour, or ()."""
-    order = coordinates.yields.start + np.argsort(free[coordinates.yields])
-    block, beside = order[side], order[1 if side == 0 else -2]
-    return (block, beside) if abs(free[block] - free[beside]) >= np.log(_LOST_BLOCK) else ()
-
-
-def _tried(objective, coordinates, free, prior, floor, steps, limit):
-    """Return a Refined from ``free``, left where it is if few steps do not get below ``limit``."""
-    end = refine(objective, coordinates, free, prior, roughly=True, floor=floor,
-                 iterations=steps)
-    if end.settled or _cost_above(end, floor, prior) > limit:
-        return end
-    return refine(objective, coordinates, end.free, prior, roughly=True, floor=floor)
-
-
-def _cost_above(end, floor, prior):
-    """Return the cost of a Refined, blocks below ``floor`` [rad] explained; inf if it ran off."""
-    cost = total_cost(replace(end.evaluation, floor=floor), end.free, prior)
-    return cost if np.isfinite(cost) else np.inf
-
-
-def _in_order(coordinates, free):
-    """Return free numbers with blocks of equal weight from stiff to soft."""
-    ordered = free.copy()
-    ordered[coordinates.yields] = np.sort(free[coordinates.yields])
-    return ordered
-
-
-def _perturbation(coordinates, free, count, rng, wide):
-    """
-    Return a random change of free numbers, about as large as they are uncertain.
-
-    Blocks that break away within a few counts move most, and together: a fit sees them only at
-    the moments when a count changes; ``wide`` moves them together far.
-    """
-    size = np.zeros(coordinates.size)
-    size[:N_STEADY] = [*_STEADY, *_STEADY, _BLOCKS]
-    size[coordinates.yields] = _BLOCKS
-    fine = np.zeros(coordinates.size)
-    fine[coordinates.yields] = np.exp(free[coordinates.yields]) < _FEW_COUNTS * count
-    return ((size + _FINE * fine) * rng.standard_normal(coordinates.size)
-            + (_WIDE if wide else _FINE) * fine * rng.standard_normal())
