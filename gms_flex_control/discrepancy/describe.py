@@ -55,16 +55,6 @@ def listed(specs) -> str:
     return ' and '.join(f'{spec.name} of {spec.joint}' for spec in specs)
 
 
-def capitalised(text) -> str:
-    """Return a text (not empty) with a capital at its beginning, the rest as it is."""
-    return text[0].upper() + text[1:]
-
-
-def of_faults(texts) -> str:
-    """Return a sentence on faults of the data (texts) that end the run."""
-    return f'The data are at fault, not the model: {first_of(texts, 4)}'
-
-
 def evidence_of(one, others) -> str:
     """Return one sentence on why an effect is named, from its Worth and its rivals."""
     scale = torque_scale(one.torque)

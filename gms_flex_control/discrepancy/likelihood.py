@@ -80,19 +80,10 @@ class Fitted:
 
 class Residuals:
     """
-    What models leave unexplained of recordings, whitened by null simulations.
+    What models leave unexplained of recordings (Motions), whitened by null simulations.
 
-    Parameters
-    ----------
-    motions : sequence of Motion
-        The recordings.
-    robot : RobotParams
-        As believed, effects that are known included.
-    seed : int
-        Of the null simulations.
-    particular : tuple of OfRecording
-        Nuisance parameters of the recordings, beside those of the robot.
-
+    ``robot`` is as believed, known effects included; ``seed`` is of the null simulations;
+    ``particular`` are nuisance parameters of the recordings, beside those of the robot.
     """
 
     def __init__(self, motions, robot, seed=0, particular=()):

@@ -83,7 +83,8 @@ def find_discrepancy(
     words = tuple(fault.text for fault in faults)
     fatal = [fault.text for fault in faults if fault.severity == 'refuse']
     if fatal and not options.force:
-        result = Discrepancy(verdict=BAD_DATA, words=describe.of_faults(fatal))
+        result = Discrepancy(verdict=BAD_DATA, words=(
+            f'The data are at fault, not the model: {describe.first_of(fatal, 4)}'))
     else:
         def searched(robot):
             with in_one_thread(), np.errstate(all='ignore'):

@@ -154,7 +154,7 @@ def _add_findings(report, result, evidence, drawn, first):
     for finding in findings:
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
         report.text(f'{in_words(finding.effect)}.')
-        report.text(describe.capitalised(finding.evidence))
+        report.text(finding.evidence[0].upper() + finding.evidence[1:])
         if finding.indistinguishable_from:
             report.note(f'Indistinguishable in these data from '
                         f'{describe.of_joints(finding.indistinguishable_from)}. '

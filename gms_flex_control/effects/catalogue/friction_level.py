@@ -3,17 +3,15 @@
 
 from dataclasses import replace
 
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.base import (
     Change,
-    DQ_LINK,
-    FRICTION,
     Guess,
     LEAST_RELATIVE,
     linear,
     Parameter,
     Stage,
     Term,
-    TIME,
 )
 from gms_flex_control.params.robot import RobotParams, StribeckParams
 import numpy as np
@@ -88,7 +86,7 @@ class FrictionDrift(Term):
     @staticmethod
     def apply(s, p, memory, dt) -> None:
         if p[1] > 0.0:
-            s[FRICTION] *= 1.0 + p[0] * min(s[TIME] / p[1], 1.0)
+            s[sig.FRICTION] *= 1.0 + p[0] * min(s[sig.TIME] / p[1], 1.0)
 
 
 class ViscousError(Term):
@@ -119,7 +117,7 @@ class ViscousError(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[FRICTION] += p[0] * s[DQ_LINK]
+        s[sig.FRICTION] += p[0] * s[sig.DQ_LINK]
 
 
 class ViscousAsymmetry(Term):
@@ -144,7 +142,7 @@ class ViscousAsymmetry(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[FRICTION] += p[0] * abs(s[DQ_LINK])
+        s[sig.FRICTION] += p[0] * abs(s[sig.DQ_LINK])
 
 
 class StribeckError(Change):

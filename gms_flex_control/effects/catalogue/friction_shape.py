@@ -3,18 +3,14 @@
 
 import math
 
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.base import (
-    DQ_LINK,
-    FRICTION,
     Guess,
     LEAST_RELATIVE,
     linear,
-    LINK_TORQUE,
     orders,
     Parameter,
-    Q_LINK,
     shapes,
-    SPRING,
     Stage,
     Term,
     waves,
@@ -41,7 +37,7 @@ class PositionFriction(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[FRICTION] *= 1.0 + p[0] * np.cos(p[1] * s[Q_LINK] + p[2])
+        s[sig.FRICTION] *= 1.0 + p[0] * np.cos(p[1] * s[sig.Q_LINK] + p[2])
 
 
 _STRAIGHT = 10.0  # times its speed: from there on the arc keeps its shape
@@ -81,11 +77,11 @@ class LoadFriction(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        moved = (s[Q_LINK] - memory[0]) * memory[1]
-        memory[0], memory[1] = s[Q_LINK], 1.0
+        moved = (s[sig.Q_LINK] - memory[0]) * memory[1]
+        memory[0], memory[1] = s[sig.Q_LINK], 1.0
         if p[1] > 0.0:
             memory[2] = min(max(memory[2] + moved / p[1], -1.0), 1.0)
-            s[FRICTION] += p[0] * abs(s[SPRING]) * memory[2]
+            s[sig.FRICTION] += p[0] * abs(s[sig.SPRING]) * memory[2]
 
 
 class LowSpeedFriction(Term):
@@ -114,7 +110,7 @@ class LowSpeedFriction(Term):
     @staticmethod
     def apply(s, p, memory, dt) -> None:
         if p[1] > 0.0:
-            s[FRICTION] *= 1.0 + p[0] * np.exp(-abs(s[DQ_LINK]) / p[1])
+            s[sig.FRICTION] *= 1.0 + p[0] * np.exp(-abs(s[sig.DQ_LINK]) / p[1])
 
 
 class ShearThinning(Term):
@@ -146,10 +142,10 @@ class ShearThinning(Term):
     def apply(s, p, memory, dt) -> None:
         if p[1] > 0.0 and p[2] > 0.0:
             velocity = min(p[1], _STRAIGHT * p[2])
-            v, most = s[DQ_LINK] / velocity, p[2] / velocity
+            v, most = s[sig.DQ_LINK] / velocity, p[2] / velocity
             slope = np.arcsinh(most) / most
             top = np.sqrt(1.0 / slope ** 2 - 1.0)  # where arc and chord are parallel
-            s[FRICTION] += p[0] * (np.arcsinh(v) - slope * v) / (np.arcsinh(top) - slope * top)
+            s[sig.FRICTION] += p[0] * (np.arcsinh(v) - slope * v) / (np.arcsinh(top) - slope * top)
 
 
 class QuadraticDrag(Term):
@@ -168,7 +164,7 @@ class QuadraticDrag(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[LINK_TORQUE] -= p[0] * s[DQ_LINK] * abs(s[DQ_LINK])
+        s[sig.LINK_TORQUE] -= p[0] * s[sig.DQ_LINK] * abs(s[sig.DQ_LINK])
 
 
 _ELEMENTS, _FINER = 4, 10.0 ** -0.5  # yields: 1, 0.32, 0.1 and 0.032 of the reach
@@ -199,12 +195,12 @@ class FrictionHysteresis(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        moved, reach = (s[Q_LINK] - memory[0]) * memory[1], p[1]
-        memory[0], memory[1] = s[Q_LINK], 1.0
+        moved, reach = (s[sig.Q_LINK] - memory[0]) * memory[1], p[1]
+        memory[0], memory[1] = s[sig.Q_LINK], 1.0
         if reach > SMALLEST:
             for i in range(2, 2 + _ELEMENTS):
                 memory[i] = min(max(memory[i] + moved / reach, -1.0), 1.0)
-                s[FRICTION] += p[0] / _ELEMENTS * memory[i]
+                s[sig.FRICTION] += p[0] / _ELEMENTS * memory[i]
                 reach *= _FINER
 
 
@@ -247,9 +243,9 @@ class FrictionBacklash(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        moved = (s[Q_LINK] - memory[0]) * memory[1]
-        memory[0], memory[1] = s[Q_LINK], 1.0
+        moved = (s[sig.Q_LINK] - memory[0]) * memory[1]
+        memory[0], memory[1] = s[sig.Q_LINK], 1.0
         gap, reach = p[1], p[2]
         if reach > SMALLEST:
             memory[2] = min(max(memory[2] + moved, -gap - reach), gap + reach)
-            s[FRICTION] += p[0] / reach * (memory[2] - min(max(memory[2], -gap), gap))
+            s[sig.FRICTION] += p[0] / reach * (memory[2] - min(max(memory[2], -gap), gap))

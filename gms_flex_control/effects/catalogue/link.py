@@ -3,17 +3,8 @@
 
 from dataclasses import replace
 
-from gms_flex_control.effects.base import (
-    Change,
-    Guess,
-    linear,
-    LINK_TORQUE,
-    Parameter,
-    Q_LINK,
-    Stage,
-    Term,
-    wave,
-)
+from gms_flex_control.effects import base as sig
+from gms_flex_control.effects.base import Change, Guess, linear, Parameter, Stage, Term, wave
 from gms_flex_control.params.arm import Body, carrying, STANDARD_GRAVITY
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
@@ -123,7 +114,7 @@ class ConstantLinkTorque(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[LINK_TORQUE] += p[0]
+        s[sig.LINK_TORQUE] += p[0]
 
 
 class EndStop(Term):
@@ -150,6 +141,6 @@ class EndStop(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        depth = s[Q_LINK] - p[0]
+        depth = s[sig.Q_LINK] - p[0]
         if depth * p[0] > 0.0:
-            s[LINK_TORQUE] -= p[1] * depth
+            s[sig.LINK_TORQUE] -= p[1] * depth

@@ -3,19 +3,15 @@
 
 from dataclasses import replace
 
+from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.base import (
     Change,
     linear,
     Parameter,
-    Q_MOTOR,
     shapes,
     sizes,
-    SPRING,
     Stage,
     Term,
-    TIME,
-    TORSION,
-    TORSION_RATE,
     wave,
 )
 from gms_flex_control.params.robot import RobotParams
@@ -60,7 +56,7 @@ class StiffnessDrift(Term):
     @staticmethod
     def apply(s, p, memory, dt) -> None:
         if p[1] > 0.0:
-            s[SPRING] *= 1.0 + p[0] * min(s[TIME] / p[1], 1.0)
+            s[sig.SPRING] *= 1.0 + p[0] * min(s[sig.TIME] / p[1], 1.0)
 
 
 class SpringCubic(Term):
@@ -77,7 +73,7 @@ class SpringCubic(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[SPRING] += p[0] * s[TORSION] ** 3
+        s[sig.SPRING] += p[0] * s[sig.TORSION] ** 3
 
 
 class SpringDamping(Term):
@@ -94,7 +90,7 @@ class SpringDamping(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[SPRING] += p[0] * s[TORSION_RATE]
+        s[sig.SPRING] += p[0] * s[sig.TORSION_RATE]
 
 
 class SpringHysteresis(Term):
@@ -118,9 +114,9 @@ class SpringHysteresis(Term):
     def apply(s, p, memory, dt) -> None:
         e_before, torque, begun = memory[0], memory[1], memory[2]
         if begun > 0.0 and p[1] > 0.0:
-            torque += p[0] / p[1] * (s[TORSION] - e_before)
-        memory[0], memory[1], memory[2] = s[TORSION], min(max(torque, -p[0]), p[0]), 1.0
-        s[SPRING] += memory[1]
+            torque += p[0] / p[1] * (s[sig.TORSION] - e_before)
+        memory[0], memory[1], memory[2] = s[sig.TORSION], min(max(torque, -p[0]), p[0]), 1.0
+        s[sig.SPRING] += memory[1]
 
 
 class SpringOffset(Term):
@@ -139,7 +135,7 @@ class SpringOffset(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[TORSION] += p[0]
+        s[sig.TORSION] += p[0]
 
 
 class Backlash(Term):
@@ -158,10 +154,10 @@ class Backlash(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        e = s[TORSION]
-        s[TORSION] = e - min(max(e, -p[0]), p[0])
+        e = s[sig.TORSION]
+        s[sig.TORSION] = e - min(max(e, -p[0]), p[0])
         if -p[0] < e < p[0]:
-            s[TORSION_RATE] = 0.0
+            s[sig.TORSION_RATE] = 0.0
 
 
 class KinematicError(Term):
@@ -182,4 +178,4 @@ class KinematicError(Term):
 
     @staticmethod
     def apply(s, p, memory, dt) -> None:
-        s[TORSION] += p[0] * np.sin(2.0 * s[Q_MOTOR] + p[1])
+        s[sig.TORSION] += p[0] * np.sin(2.0 * s[sig.Q_MOTOR] + p[1])
