@@ -41,12 +41,12 @@ def test_every_guess_is_an_effect_the_model_allows(likelihood):
 
 def test_what_a_guess_stands_for_is_the_sum_of_its_probes(likelihood):
     """Columns times coefficients against the rows of the effect itself, for linear ones."""
-    rows = likelihood.fitted(likelihood.robot, np.zeros(len(likelihood.nuisances))).rows
+    rows = likelihood.fitted(likelihood.robot, np.zeros(len(likelihood.nuisances))).whitened
 
     def made(name, joint, values):
         spec = EffectSpec(name=name, joint=joint, values=tuple(map(float, values)))
         return likelihood.fitted(replace(likelihood.robot, effects=(spec,)),
-                                 np.zeros(len(likelihood.nuisances))).rows - rows
+                                 np.zeros(len(likelihood.nuisances))).whitened - rows
     linear = ('torque_ripple', 'position_friction', 'gravity_tilt', 'spring_cubic',
               'motor_viscous', 'kinematic_error', 'friction_drift', 'viscous_error',
               'motor_inertia_coupling')
@@ -136,7 +136,8 @@ def test_the_first_scan_gains_nearly_what_the_fit_does(effect):
     likelihood = likelihood_of(case)
     model, columns = retuned_of(likelihood, PLAUSIBLE)
     ranked = Dictionary(likelihood, model).ranked(model, columns, PLAUSIBLE)
-    assert [one.gain for one in ranked] == sorted((one.gain for one in ranked), reverse=True)
+    decreases = [one.decrease for one in ranked]
+    assert decreases == sorted(decreases, reverse=True)
     first, = (one for one in ranked if one.key == true.key)
-    assert first.gain > 0.9 * ranked[0].gain
+    assert first.decrease > 0.9 * ranked[0].decrease
     assert first.spec.values[0] == pytest.approx(true.values[0], rel=0.2)

@@ -77,7 +77,7 @@ def test_an_effect_has_the_odds_of_one_among_all_against_it():
     assert few == many  # no effect, no odds
     reported = SimpleNamespace(name='motor_torque_bias', joint='j', values=(0.0,))
     with_one = Fitted(SimpleNamespace(**vars(given.robot) | {'effects': (reported,)}), model.x, [],
-                      model.rows, model.sums)
+                      model.whitened, model.sums)
     given.scales_of = lambda joint: Scales(0.1, 1.0, 0.0, 0.0, 1.0, 0.01, 0.1,
                                            Travel(-1.0, 1.0, 2.0), 20.0)
     columns = np.concatenate([slopes, np.zeros((1, 12))])
@@ -118,7 +118,7 @@ def test_a_robot_of_which_all_torques_are_believed_less_explains_nothing(robot, 
         EffectSpec(name='torque_gain', joint=joint, values=(-0.6,)) for joint in robot.joints))
     weaker, believed = (
         state_of(likelihood, model, np.zeros((len(less) + len(model.robot.effects),
-                                              len(model.rows))), 50)
+                                              len(model.whitened))), 50)
         for model in (likelihood.fitted(weak, less), likelihood.fitted(robot, 0.0 * less)))
     assert weaker.evidence < believed.evidence
 

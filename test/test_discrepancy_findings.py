@@ -29,7 +29,7 @@ def shares_of(instead, beside, left=None):
     model = SimpleNamespace(robot=SimpleNamespace(effects=tuple(
         EffectSpec(name=name, joint='slide', values=(0.1, 0.1, 0.1)) for name in names)))
     worths = [SimpleNamespace(index=i, outright=OUTRIGHT[name], less=name,
-                              rest=SimpleNamespace(columns=None)) for i, name in enumerate(names)]
+                              rest=SimpleNamespace(jacobian=None)) for i, name in enumerate(names)]
     functions = SimpleNamespace(ranked=lambda less, columns, joint: [free(instead[less])])
     return dict(zip(names, evidence_shares(functions, model, worths, left, [free(beside)],
                                            ('slide',)), strict=True))

@@ -53,7 +53,7 @@ def test_a_payload_and_the_inertias_it_resembles_do_not_pull_against_each_other(
         model = likelihood.fitted(with_effects(case.nominal, replace(
             true, values=(factor * true.values[0],))), np.zeros(len(likelihood.sd)))
         for _ in range(3):
-            model, _ = refitted(likelihood, model.robot, model.x, likelihood.columns(model))
+            model, _ = refitted(likelihood, model.robot, model.x, likelihood.jacobian(model))
         ends.append(model)
     masses = [model.robot.effects[0].values[0] for model in ends]
     assert masses[1] == pytest.approx(masses[0], rel=0.05)
@@ -71,7 +71,7 @@ def test_friction_by_load_turns_over_the_reach_that_is_there(factor):
         true, values=(0.8 * true.values[0], factor * true.values[1]))),
         np.zeros(len(likelihood.sd)))
     for _ in range(2):
-        model, _ = refitted(likelihood, model.robot, model.x, likelihood.columns(model))
+        model, _ = refitted(likelihood, model.robot, model.x, likelihood.jacobian(model))
     assert model.robot.effects[0].values == pytest.approx(true.values, rel=0.2)
 
 

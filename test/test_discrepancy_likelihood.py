@@ -75,7 +75,7 @@ def test_fresh_clean_runs_have_unit_variance(likelihood, robot):
     fresh = null_readings(likelihood.motions[0], constants)(np.random.default_rng([0, 99]))
     level = np.mean(likelihood.clean ** 2)  # the floor is white noise that is not in them
     for motion in (fresh, likelihood.motions[0]):
-        rows = whitening.rows_of(unexplained(motion, constants))
+        rows = whitening.whiten(unexplained(motion, constants))
         rows = rows[np.any(rows, axis=1)]
         assert 0.6 < rows.var() / level < 1.6
     assert 0.2 < level < 1.3
@@ -86,7 +86,7 @@ def test_priors_pull_known_parameters_by_their_standard_deviation(likelihood):
     model = as_believed(likelihood)
     for i in (0, 3):
         x = 2.0 * likelihood.sd * (np.arange(len(likelihood.sd)) == i)
-        sums = likelihood.sums(model.rows, model.robot, x)
+        sums = likelihood.sums(model.whitened, model.robot, x)
         assert sums.cost - likelihood.misfit(sums.groups) == pytest.approx(4.0)
     wide = likelihood_of(make_case('clean', 3, duration=3.0), 3.0)
     usual = likelihood_of(make_case('clean', 3, duration=3.0))
@@ -98,7 +98,7 @@ def test_slopes_are_the_derivative_of_the_cost():
     likelihood = likelihood_of(make_case('clean', 3, population='encoders_fine', duration=6.0))
     x = 0.5 * likelihood.sd * np.random.default_rng(2).uniform(-1.0, 1.0, len(likelihood.sd))
     model = likelihood.fitted(likelihood.robot, x)
-    columns = likelihood.columns(model)
+    columns = likelihood.jacobian(model)
     (slopes, *_), = normal_equations(likelihood, model, columns, (), [slice(None)])
     slopes -= x / likelihood.sd ** 2
     reported = []
@@ -124,7 +124,7 @@ def test_the_same_robot_costs_the_same_however_it_is_said(robot, coarse, name, n
     same = with_effects(robot, spec)
     x[index] = 1.0 / (1.0 + ratio) - 1.0
     other = likelihood.fitted(same, x)
-    np.testing.assert_allclose(other.rows, plain.rows, atol=1e-6)
+    np.testing.assert_allclose(other.whitened, plain.whitened, atol=1e-6)
     misfits = [likelihood.misfit(one.sums.groups) for one in (plain, other)]
     weight = likelihood.weights(plain.sums.groups)  # what noise adds by it, not made good
     noise = abs(2.0 * likelihood.noise_slopes(plain, weight)[index] * x[index])
@@ -154,7 +154,7 @@ def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, coar
                   for one in likelihood.nuisances])
     half = likelihood.fitted(with_effects(robot, replace(spec, values=(0.15,))), 0.5 * x)
     for model in (likelihood.fitted(robot, x), likelihood.fitted(heavy, 0.0 * x)):
-        np.testing.assert_allclose(model.rows, half.rows, atol=1e-6)
+        np.testing.assert_allclose(model.whitened, half.whitened, atol=1e-6)
         np.testing.assert_allclose(model.sums.groups, half.sums.groups, rtol=1e-6)
 
 
@@ -167,7 +167,7 @@ def test_a_fit_ends_with_what_encoder_noise_truly_adds(robot, gains):
     likelihood.encoder_noise.learn(likelihood, replace(soft, values=probe), [(0, probe)])
     x = np.zeros(len(likelihood.nuisances))
     begin = likelihood.fitted(with_effects(robot, replace(soft, values=(-0.7, 0.0))), x)
-    columns = likelihood.columns(likelihood.fitted(robot, x))
+    columns = likelihood.jacobian(likelihood.fitted(robot, x))
     found = fit(likelihood, begin.robot, x, columns)
     exact = likelihood.exact(begin)
     assert abs(exact.cost - begin.cost) > 10.0
@@ -185,7 +185,7 @@ def test_what_sticks_is_measured_by_the_noise_of_what_sticks():
     true = likelihood.fitted(case.truth.robot, np.zeros(len(likelihood.nuisances)))
     settled = likelihood.simulated_as(true)
     again = settled.fitted(true.robot, true.x)
-    levels = [np.mean(model.rows ** 2) / np.mean(one.clean ** 2)
+    levels = [np.mean(model.whitened ** 2) / np.mean(one.clean ** 2)
               for one, model in ((likelihood, true), (settled, again))]
     assert levels[0] > 5.0 and levels[1] < 1.5
 

@@ -36,7 +36,7 @@ def test_white_torque_noise_is_measured_once(seed, population):
     np.testing.assert_allclose(reported[0, 2:], case.truth.torque_noise, rtol=0.25)
     noisy = likelihood.with_noise(reported)
     model, _ = retuned_of(noisy)
-    assert np.mean(model.rows ** 2) == pytest.approx(np.mean(noisy.clean ** 2), rel=0.3)
+    assert np.mean(model.whitened ** 2) == pytest.approx(np.mean(noisy.clean ** 2), rel=0.3)
     reported = white_noise(noisy, model)[0, 2:]
     np.testing.assert_allclose(reported, case.truth.torque_noise, rtol=0.25)
 
@@ -76,8 +76,8 @@ def test_two_gains_that_make_torques_small_gain_nothing():
         for joint in likelihood.robot.joints))
     left = unexplained(likelihood.motions[0], likelihood.constants(weak, zero))
     left[:, n:] /= 0.5  # of the motors, which the drives turn
-    np.testing.assert_allclose(likelihood.fitted(weak, zero).rows,
-                               likelihood.whitened.rows_of([left]) - likelihood.usual, atol=1e-9)
+    np.testing.assert_allclose(likelihood.fitted(weak, zero).whitened,
+                               likelihood.whitener.whiten([left]) - likelihood.usual, atol=1e-9)
 
 
 def test_what_coarse_encoders_misread_is_no_function_of_rate_or_torsion():

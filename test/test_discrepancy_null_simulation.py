@@ -99,5 +99,5 @@ def test_a_null_simulation_stands_where_the_recording_stood(seed, gravity):
     standing = motion.standing & again.standing
     assert standing.sum() > 0.5 * motion.standing.sum()
     alike = [Likelihood([motion], robot, seed) for seed in range(2)]
-    level = np.mean([np.mean(as_believed(one).rows ** 2) for one in alike])
+    level = np.mean([np.mean(as_believed(one).whitened ** 2) for one in alike])
     assert level == pytest.approx(np.mean([np.mean(one.clean ** 2) for one in alike]), rel=0.1)

@@ -91,7 +91,7 @@ def test_torque_noise_is_measured_though_it_moves_the_links_computed():
     np.testing.assert_allclose(reported[0, :2], case.truth.torque_noise, rtol=0.25)
     noisy = likelihood.with_noise(reported)
     model, _ = retuned_of(noisy)
-    assert np.mean(model.rows ** 2) == pytest.approx(np.mean(noisy.clean ** 2), rel=0.3)
+    assert np.mean(model.whitened ** 2) == pytest.approx(np.mean(noisy.clean ** 2), rel=0.3)
 
 
 @pytest.mark.parametrize('population, seed', [('noise_3', 8), ('noise_6', 9), ('noise_6', 7)])
@@ -132,7 +132,7 @@ def test_a_spring_so_soft_that_the_computed_link_runs_away_is_no_model():
     likelihood = likelihood_of(replace(case, recording=blind(case.recording)))
     robot = with_effects(case.nominal, EffectSpec(name='spring_cubic', joint='joint2',
                                                   values=(-5e8,)))
-    nuisances = likelihood.columns(as_believed(likelihood))
+    nuisances = likelihood.jacobian(as_believed(likelihood))
     with np.errstate(all='ignore'):
         model, columns = refitted(likelihood, robot, np.zeros(len(likelihood.sd)), nuisances)
         assert state_of(likelihood, model, columns, 2).evidence == -np.inf

@@ -68,7 +68,7 @@ def gain_with(likelihood, spec):
     other = fit(likelihood, with_effects(likelihood.robot, spec), without.x, own,
                 plausible=PLAUSIBLE)
     return gain_of(likelihood, (other, extended(likelihood, other, own, 0)), (without, own),
-                   other.rows - without.rows)
+                   other.whitened - without.whitened)
 
 
 def test_the_true_effect_gains_on_every_part_of_the_recording(case, likelihood):
@@ -139,7 +139,7 @@ def test_a_fold_is_predicted_by_a_fit_that_saw_nothing_of_it(ideal_robot, gains)
     likelihood = Likelihood([driven_motion(ideal_robot, gains, duration=8.0)], ideal_robot)
     model, columns = as_believed(likelihood), retuned_of(likelihood)[1]
     for left_out, step in steps(likelihood, model, columns):
-        blind = replace(model, rows=model.rows * ~left_out)
+        blind = replace(model, whitened=model.whitened * ~left_out)
         alone, _ = foreseen(likelihood, blind, columns * ~left_out, columns[:0], (), np.inf)
         np.testing.assert_allclose(step, alone, rtol=0, atol=1e-4 * np.abs(alone).max())
 

@@ -26,7 +26,7 @@ def test_rows_of_even_noise_are_white_and_of_unit_variance():
     noise = white - 0.9 * np.roll(white, 1, axis=1)
     noise[..., 1] = uniform_filter1d(noise[..., 1], 5, axis=1)
     whitening = Whitening(noise[:6], period, np.zeros(2), np.ones(noise.shape[1], dtype=bool))
-    rows = whitening.rows_of(noise[6])
+    rows = whitening.whiten(noise[6])
     rows = rows[np.any(rows, axis=1)]
     assert np.all(np.abs(rows.var(axis=0) - 1.0) < 0.15)
     allowed = 4.0 / np.sqrt(len(rows)) + 0.03
@@ -45,10 +45,10 @@ def test_rows_of_torques_in_one_equation_are_those_of_residuals_without_any_othe
     for channel in range(3):
         residuals = np.zeros((5, 4000, 3))
         residuals[:, :, channel] = torques.T
-        rows = whitening.rows_of_each(torques, channel)
+        rows = whitening.whiten_each(torques, channel)
         assert np.any(rows) == (channel != 1) and not np.any(rows[:, 1])
         np.testing.assert_allclose(rows, np.stack([
-            whitening.rows_of(one) for one in residuals], axis=-1), rtol=0, atol=1e-12)
+            whitening.whiten(one) for one in residuals], axis=-1), rtol=0, atol=1e-12)
 
 
 def test_where_an_equation_says_nothing_its_residual_counts_nothing():
@@ -59,8 +59,8 @@ def test_where_an_equation_says_nothing_its_residual_counts_nothing():
     whitening = Whitening(noise[:6], 4e-3, np.zeros(1), known)
     stuck = noise[6].copy()
     stuck[4000:6000] += 1000.0
-    rows = whitening.rows_of(stuck)
-    np.testing.assert_allclose(rows, whitening.rows_of(noise[6]), rtol=1e-9, atol=1e-9)
+    rows = whitening.whiten(stuck)
+    np.testing.assert_allclose(rows, whitening.whiten(noise[6]), rtol=1e-9, atol=1e-9)
     inside = (whitening.row_time > 16.01) & (whitening.row_time < 23.99)
     reported = rows[~inside & np.any(rows, axis=1)]
     assert not np.any(rows[inside]) and reported.var() == pytest.approx(1.0, abs=0.2)
@@ -75,8 +75,8 @@ def test_slow_noise_of_rests_does_not_hide_what_is_slow_in_motion():
     noise += 20.0 * slow / slow.std() * uniform_filter1d(resting.astype(float), 100, axis=0)
     whitening = Whitening(noise[:6], period, np.zeros(1), np.ones(noise.shape[1], dtype=bool))
     torque = np.sign(np.sin(2.0 * np.pi * 0.2 * period * np.arange(15000)))[:, None]
-    assert np.sum(whitening.rows_of(torque) ** 2) > 0.1 * np.sum(torque[~resting] ** 2)
-    rows = whitening.rows_of(noise[6])
+    assert np.sum(whitening.whiten(torque) ** 2) > 0.1 * np.sum(torque[~resting] ** 2)
+    rows = whitening.whiten(noise[6])
     assert rows[np.any(rows, axis=1)].var() == pytest.approx(1.0, abs=0.25)
 
 
@@ -88,4 +88,4 @@ def test_a_floor_makes_all_below_it_small():
         whitening = Whitening(noise[:6], 4e-3, np.array([floor * np.sqrt(share)]),
                               np.ones(noise.shape[1], dtype=bool))
         whitening.scale[:] = 1.0
-        assert whitening.rows_of(noise[6]).var() == pytest.approx(level, rel=0.1)
+        assert whitening.whiten(noise[6]).var() == pytest.approx(level, rel=0.1)

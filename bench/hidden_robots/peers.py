@@ -61,7 +61,7 @@ def library_of(case, without):
     dictionary = Dictionary(likelihood, model, without)
     root = np.sqrt(likelihood.weights(model.sums.groups))
     basis, _ = np.linalg.qr((own * root).T)
-    columns = np.concatenate([dictionary.columns, -model.rows[None]]) * root
+    columns = np.concatenate([dictionary.derivatives, -model.whitened[None]]) * root
     columns = columns - (columns @ basis) @ basis.T
     length = np.linalg.norm(columns, axis=1, keepdims=True)
     columns = columns / np.where(length > 0.0, length, 1.0)

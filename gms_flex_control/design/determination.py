@@ -245,7 +245,7 @@ def _information(recordings, robot, missing):
                              or 'all is identified'))
     model = likelihood.fitted(robot, np.zeros(len(likelihood.nuisances)))
     sd = likelihood.sd[own]
-    scaled = informative(likelihood, model, likelihood.columns(model))[own] * sd[:, None]
+    scaled = informative(likelihood, model, likelihood.jacobian(model))[own] * sd[:, None]
     return _Information(scaled @ scaled.T, [likelihood.nuisances[k] for k in own], sd, wanted)
 
 

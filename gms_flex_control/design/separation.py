@@ -164,33 +164,33 @@ def log_odds(likelihood: Likelihood, models: Sequence[Fitted], evidence: Sequenc
 
 def _fitted(likelihood, base, nuisances, dictionary, effects):
     """Return a set of effects fitted to the recordings (Hypothesis)."""
-    model, columns, left = base, nuisances, set(effects)
+    model, jacobian, left = base, nuisances, set(effects)
     while left:
-        spec = _begun(likelihood, dictionary, model, columns, left)
+        spec = _begun(likelihood, dictionary, model, jacobian, left)
         # where known parameters stand for the effect it begins beside them, from nearly nothing
-        model = min((fitting.fit(likelihood, with_effects(model.robot, one), model.x, columns)
+        model = min((fitting.fit(likelihood, with_effects(model.robot, one), model.x, jacobian)
                      for one in (spec, replace(spec, values=(
                          _HARDLY * spec.values[0], *spec.values[1:])))), key=lambda one: one.cost)
-        columns = fitting.extended(likelihood, model, nuisances)
+        jacobian = fitting.extended(likelihood, model, nuisances)
         left -= {spec.key}
-    model, columns = fitting.refitted(likelihood, model.robot, model.x, nuisances)
+    model, jacobian = fitting.refitted(likelihood, model.robot, model.x, nuisances)
     numbers = fitting.numbers_of(likelihood, model.robot)
     prior = fitting.prior_of(likelihood, model, numbers)
-    rows = fitting.informative(likelihood, model, columns)
+    rows = fitting.informative(likelihood, model, jacobian)
     gram = (rows * likelihood.weights(model.sums.groups)) @ rows.T
     information = gram + np.diag(np.maximum(
         prior.pull, 1.0 / (prior.sd * _LARGEST_SD) ** 2))
     return Hypothesis(effects, model, numbers, np.linalg.inv(information),
-                      state_of(likelihood, model, columns, 2).evidence)
+                      state_of(likelihood, model, jacobian, 2).evidence)
 
 
-def _begun(likelihood, dictionary, model, columns, left):
-    """Return an EffectSpec of those ``left``, the one that gains most, where a fit begins."""
-    for one in dictionary.ranked(model, columns):
+def _begun(likelihood, dictionary, model, jacobian, left):
+    """Return an EffectSpec of those ``left``, the one that explains most, where a fit begins."""
+    for one in dictionary.ranked(model, jacobian):
         if one.key in left:
             return one.spec
-    gains, _ = dictionary.gains(model, columns)  # none gains: the data speak against them
-    for i in np.argsort(-gains):
+    decreases, _ = dictionary.decreases(model, jacobian)  # none: the data speak against them
+    for i in np.argsort(-decreases):
         name, joint, guess = dictionary.guesses[i]
         spec = EffectSpec(name=name, joint=joint, values=guess.probes[0])
         if (name, joint) in left and may_join(spec, model.robot, likelihood.known):
@@ -329,5 +329,5 @@ def _state(likelihood, hypothesis, nuisances):
     known = dict(zip(nuisances, hypothesis.model.x, strict=True))
     x = np.array([known.get(one, 0.0) for one in likelihood.nuisances])
     robot = hypothesis.model.robot
-    columns = likelihood.columns(likelihood.fitted(robot, x))
-    return state_of(likelihood, *fitting.refitted(likelihood, robot, x, columns, _ITERATIONS), 2)
+    jacobian = likelihood.jacobian(likelihood.fitted(robot, x))
+    return state_of(likelihood, *fitting.refitted(likelihood, robot, x, jacobian, _ITERATIONS), 2)

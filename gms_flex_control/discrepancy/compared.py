@@ -59,7 +59,7 @@ def compare(result, models, holdout=()) -> list:
 
 def _missing(likelihood, model):
     """Return the mean square of a model's whitened residuals above that of null simulations."""
-    return float(model.sums.groups.sum() / len(model.rows) - np.mean(likelihood.clean ** 2))
+    return float(model.sums.groups.sum() / len(model.whitened) - np.mean(likelihood.clean ** 2))
 
 
 def as_found(result) -> RobotParams:

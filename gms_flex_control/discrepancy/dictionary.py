@@ -1,8 +1,8 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """
-What each effect of the catalogue would gain, beside a model.
+By how much each effect of the catalogue would lower the cost of a model.
 
-All guesses are put along the measured motion once, at small sizes. What a hypothesis gains is
+All guesses are put along the measured motion once, at small sizes. The decrease of the cost is
 then linear algebra.
 """
 
@@ -17,16 +17,16 @@ from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM, with_effects
 import numpy as np
 
 _AT_BOUND = 0.99      # of what is plausible of a nuisance parameter: it can give no more
-_NEW = 1e-6           # of the squares of a guess's columns: nothing else makes so much of them
-_EXACT = 8            # effects of joints whose gain is found within bounds, either way
+_NEW = 1e-6           # of the squares of a guess's derivatives: nothing else makes so much of them
+_EXACT = 8            # effects of joints whose decrease is found within bounds, either way
 _MOST_TRIED = 40      # guesses, to find so many: some have a ladder of sizes
-_AT_ONCE = 64         # columns, kept in single precision, that are taken in double at once
+_AT_ONCE = 64         # derivatives, kept in single precision, that are taken in double at once
 
 
 class Ranked(NamedTuple):
-    """A hypothesis and what it gains."""
+    """A hypothesis and what it takes off the cost."""
 
-    gain: float      # decrease of the cost, all else re-tuned
+    decrease: float      # decrease of the cost, all else re-tuned
     spec: EffectSpec
 
     @property
@@ -111,10 +111,10 @@ class Dictionary:
         self.guesses = guesses_of(likelihood, excluded, _fine_orders(likelihood, model), only)
         self._specs = [EffectSpec(name=name, joint=joint, values=values)
                        for name, joint, guess in self.guesses for values in guess.probes]
-        self.columns = np.empty((len(self._specs), len(model.rows)), dtype=np.float32)
+        self.derivatives = np.empty((len(self._specs), len(model.whitened)), dtype=np.float32)
 
         def fill(k):
-            self.columns[k] = likelihood.change(model, with_effects(
+            self.derivatives[k] = likelihood.change(model, with_effects(
                 model.robot, self._specs[k]), model.x)
         list(likelihood.pool.map(fill, range(len(self._specs))))
         self._clear_noise(likelihood.learn_noise(self.guesses))
@@ -122,21 +122,21 @@ class Dictionary:
         self._own = list(likelihood.pool.map(self._products_of, range(len(self.guesses))))
 
     def _products_of(self, i):
-        """Return the products by group (G, K, K) of the K columns of a guess."""
+        """Return the products by group (G, K, K) of the K derivatives of a guess."""
         groups = self._likelihood.groups
-        part = groups.ordered(self.columns[self._places[i]:self._places[i + 1]].astype(float))
+        part = groups.ordered(self.derivatives[self._places[i]:self._places[i + 1]].astype(float))
         return groups.products(part, part)
 
     def _clear_noise(self, learned):
-        """Clear columns of residuals in which encoder noise, known of ``learned``, hides them."""
+        """Clear derivatives that encoder noise, known of ``learned``, hides."""
         noise = self._likelihood.encoder_noise
-        for column, spec in zip(self.columns, self._specs, strict=True):
+        for column, spec in zip(self.derivatives, self._specs, strict=True):
             column *= noise.informative_of(spec)[np.argmax(np.asarray(spec.values) != 0.0)]
         self._unknown = ~np.array([spec.key in learned or _is_of_torque(spec.name)
                                    for spec in self._specs], dtype=bool)
 
     def _noise_along(self, direction):
-        """Return the products (K,) of the noise in all columns with a direction (R,)."""
+        """Return the products (K,) of the noise in all derivatives with a direction (R,)."""
         noise, of_effect = self._likelihood.encoder_noise, {}
         for spec in self._specs:
             if spec.key not in of_effect:
@@ -145,17 +145,18 @@ class Dictionary:
         return np.array([np.asarray(spec.values) @ of_effect[spec.key] for spec in self._specs])
 
     def _products(self, others):
-        """Return the products (K, N) of columns with others (N, R), in double precision."""
-        parts = (self.columns[k:k + _AT_ONCE] for k in range(0, len(self.columns), _AT_ONCE))
+        """Return the products (K, N) of derivatives with others (N, R), in double precision."""
+        parts = (self.derivatives[k:k + _AT_ONCE]
+                 for k in range(0, len(self.derivatives), _AT_ONCE))
         return np.concatenate([np.empty((0, len(others))), *self._likelihood.pool.map(
             lambda part: part @ others.T, parts)])
 
-    def gains(self, model, columns, plausible=np.inf, even=False) -> tuple:
+    def decreases(self, model, jacobian, plausible=np.inf, even=False) -> tuple:
         """
-        Return what guesses gain beside a model, bounds left aside (G,), and noise (K,).
+        Return what guesses take off the cost, bounds left aside (G,), and noise (K,).
 
         Noise levels are those of the model, or ``even``: an effect that explains all of a group
-        whose level is high for want of it gains little by the former.
+        whose level is high for want of it takes off little by the former.
         """
         likelihood = self._likelihood
         numbers = numbers_of(likelihood, model.robot)
@@ -165,10 +166,10 @@ class Dictionary:
         sums = likelihood.groups.count if even else model.sums.groups
         weight, levels = likelihood.weights(sums), 1.0 / likelihood.noise_levels(sums)
         root, pull = np.sqrt(weight), np.sqrt(prior.pull)
-        columns = informative(likelihood, model, columns)
+        jacobian = informative(likelihood, model, jacobian)
         # priors are residuals of their own
-        own = np.concatenate([columns * root, np.diag(pull)], axis=1)[free]
-        rows = np.concatenate([model.rows * root, pull * prior.values])
+        own = np.concatenate([jacobian * root, np.diag(pull)], axis=1)[free]
+        rows = np.concatenate([model.whitened * root, pull * prior.values])
         basis, triangle = np.linalg.qr(own.T)
         left = (rows - basis @ (basis.T @ rows))[:len(root)]
         along = self._products(root * np.vstack([basis[:len(root)].T, left]))
@@ -180,25 +181,25 @@ class Dictionary:
         noise = np.where(self._unknown, shared, self._noise_along(
             likelihood.noise_cleared(model, weight)))
         right = noise - shared - right
-        gains = np.zeros(len(self.guesses))
+        decreases = np.zeros(len(self.guesses))
         for i, (first, last) in enumerate(zip(self._places[:-1], self._places[1:], strict=True)):
             mine, whole = along[first:last], np.tensordot(levels, self._own[i], 1)
             gram = whole - mine @ mine.T
             if np.trace(gram) > _NEW * np.trace(whole):
-                gains[i] = right[first:last] @ np.linalg.lstsq(gram, right[first:last],
-                                                               rcond=1e-10)[0]
-        return np.where(np.isfinite(gains), gains, 0.0), noise
+                decreases[i] = right[first:last] @ np.linalg.lstsq(
+                    gram, right[first:last], rcond=1e-10)[0]
+        return np.where(np.isfinite(decreases), decreases, 0.0), noise
 
-    def ranked(self, model, columns, plausible=np.inf) -> list:
-        """Return the hypotheses with the largest gains, no effect of a joint twice."""
+    def ranked(self, model, jacobian, plausible=np.inf) -> list:
+        """Return the hypotheses with the largest decreases, no effect of a joint twice."""
         likelihood, best, tried = self._likelihood, {}, set()
-        normal = NormalEquations(likelihood, model, columns, plausible)
+        normal = NormalEquations(likelihood, model, jacobian, plausible)
         for even in (False, True):
-            gains, noise = self.gains(model, columns, plausible, even)
+            decreases, noise = self.decreases(model, jacobian, plausible, even)
             found = set()
-            for i in np.argsort(-gains)[:_MOST_TRIED]:
+            for i in np.argsort(-decreases)[:_MOST_TRIED]:
                 name, joint, guess = self.guesses[i]
-                if len(found) == _EXACT or gains[i] <= 0.0:
+                if len(found) == _EXACT or decreases[i] <= 0.0:
                     break
                 part = slice(self._places[i], self._places[i + 1])
                 if i in tried or not may_join(self._specs[part.start], model.robot,
@@ -206,23 +207,23 @@ class Dictionary:
                     continue
                 found.add((name, joint))
                 tried.add(i)
-                minimum = normal.beside(self.columns[part].astype(float), noise[part],
+                minimum = normal.beside(self.derivatives[part].astype(float), noise[part],
                                         guess.lowest, guess.highest)
                 share = guess.within(minimum.added)
-                gain = (normal.alone.cost - minimum.cost if np.any(minimum.added) else 0.0) * (
+                decrease = (normal.alone.cost - minimum.cost if np.any(minimum.added) else 0.0) * (
                     share * (2.0 - share))
-                if gain > best.get((name, joint), Ranked(0.0, None)).gain:
+                if decrease > best.get((name, joint), Ranked(0.0, None)).decrease:
                     values = tuple(float(v) for v in guess.values(minimum.added))
-                    best[name, joint] = Ranked(gain, EffectSpec(name=name, joint=joint,
-                                                                values=values))
-        return sorted(best.values(), key=lambda one: -one.gain)
+                    best[name, joint] = Ranked(
+                        decrease, EffectSpec(name=name, joint=joint, values=values))
+        return sorted(best.values(), key=lambda one: -one.decrease)
 
-    def largest(self, model, columns) -> dict:
-        """Return what each hypothesis gains, bounds left aside, by (effect, joint)."""
+    def largest(self, model, jacobian) -> dict:
+        """Return what each hypothesis takes off, bounds left aside, by (effect, joint)."""
         found = {}
-        for (name, joint, _), gain in zip(self.guesses, self.gains(model, columns)[0],
-                                          strict=True):
-            found[name, joint] = max(found.get((name, joint), 0.0), float(gain))
+        for (name, joint, _), decrease in zip(
+                self.guesses, self.decreases(model, jacobian)[0], strict=True):
+            found[name, joint] = max(found.get((name, joint), 0.0), float(decrease))
         return found
 
 

@@ -34,7 +34,7 @@ class State(NamedTuple):
     plausible: object = np.inf  # standard deviations that nuisance parameters may go, (P,) or one
 
     @property
-    def columns(self) -> np.ndarray:
+    def jacobian(self) -> np.ndarray:
         """Return the derivatives (C, R) by nuisance parameters, then numbers of effects."""
         return np.concatenate([self.nuisances, self.own])
 
@@ -43,26 +43,26 @@ class State(NamedTuple):
         return frozenset(spec.key for spec in self.model.robot.effects[known:])
 
 
-def state_of(likelihood, model, columns, hypotheses) -> State:
+def state_of(likelihood, model, jacobian, hypotheses) -> State:
     """
     Return a model at its likeliest, with its evidence, a State.
 
-    ``columns`` (C, R) are the derivatives of its rows; of ``hypotheses``, the effects of joints
-    that are looked for, one is expected to be missing.
+    ``jacobian`` (C, R) has the derivatives of its residuals; of ``hypotheses``, the effects of
+    joints that are looked for, one is expected to be missing.
     """
     numbers = fitting.numbers_of(likelihood, model.robot)
     prior = fitting.prior_of(likelihood, model, numbers)
     weight = likelihood.weights(model.sums.groups)
-    scaled = fitting.informative(likelihood, model, columns)[prior.free]
+    scaled = fitting.informative(likelihood, model, jacobian)[prior.free]
     scaled *= prior.sd[prior.free, None]
     gram = (scaled * weight) @ scaled.T
     _, occam = np.linalg.slogdet(np.eye(len(gram)) + gram)
     added = len(model.robot.effects) - likelihood.known
-    exact = likelihood.sums(model.rows, model.robot, model.x, exact=True)
+    exact = likelihood.sums(model.whitened, model.robot, model.x, exact=True)
     evidence = (-exact.cost - fitting.prior_cost(model, numbers) - occam
                 + 2.0 * log_determinant(likelihood, model)
                 - 2.0 * added * np.log(max(hypotheses, 2)))
-    return State(model, columns[:len(model.x)], columns[len(model.x):],
+    return State(model, jacobian[:len(model.x)], jacobian[len(model.x):],
                  finite(evidence))
 
 
@@ -73,15 +73,15 @@ def finite(evidence) -> float:
 
 def log_determinant(likelihood, model) -> float:
     """
-    Return the logarithm of the determinant of rows by readings, beside that of encoder noise.
+    Return the logarithm of the determinant of residuals by readings, beside that of encoder noise.
 
     Beside the motion of a link its torsion and its drive are answers, not choices. The residual of
     the link changes with the torsion by the slope of the spring, that of the motor counts per unit
-    of commanded torque: so the density of readings is that of rows times the slope. Of a variance
-    of which encoders make a share, that share falls with the square of the slope, of which sums
-    are cleared; the rest, of torques that drives and loads make or that nothing explains, does
-    not. A softer spring that explains none of it only makes less torque of the same torsion. As
-    simulated the determinant is 1.
+    of commanded torque: so the density of readings is that of residuals times the slope. Of a
+    variance of which encoders make a share, that share falls with the square of the slope, of
+    which sums are cleared; the rest, of torques that drives and loads make or that nothing
+    explains, does not. A softer spring that explains none of it only makes less torque of the
+    same torsion. As simulated the determinant is 1.
     """
     joints, rigid = likelihood.robot.joints, likelihood.robot.arm.rigid
     links = [j for j, joint in enumerate(joints)
@@ -169,7 +169,7 @@ def credible(models, mass=CREDIBLE) -> list:
     return models[:int(np.searchsorted(shares, mass)) + 1]
 
 
-# --- further columns beside a model -------------------------------------------------------------
+# --- directions beside a model -----------------------------------------------------------------
 
 
 class Least(NamedTuple):
@@ -177,28 +177,29 @@ class Least(NamedTuple):
 
     cost: float
     step: np.ndarray    # (C,) of all that is free in the model
-    added: np.ndarray   # (K,) of the columns beside it
+    added: np.ndarray   # (K,) of the directions beside it
     sums: np.ndarray    # (G,) of squares by group
 
 
 class NormalEquations:
     """
-    Products of a model's columns group by group, which any noise levels can weigh.
+    Products of a model's derivatives group by group, which any noise levels can weigh.
 
-    ``columns`` (C, R) are derivatives of a Fitted by nuisance parameters, then by numbers of its
+    ``jacobian`` (C, R) has derivatives of a Fitted by nuisance parameters, then by numbers of its
     effects; nuisance parameters may go ``plausible`` standard deviations of their priors, a number
     or (P,).
     """
 
-    def __init__(self, likelihood, model, columns, plausible=np.inf):
+    def __init__(self, likelihood, model, jacobian, plausible=np.inf):
         self._likelihood, self._sums = likelihood, model.sums.groups
-        self._columns = likelihood.groups.ordered(fitting.informative(likelihood, model, columns))
-        self._rows = likelihood.groups.ordered(model.rows[None])
+        self._jacobian = likelihood.groups.ordered(
+            fitting.informative(likelihood, model, jacobian))
+        self._residuals = likelihood.groups.ordered(model.whitened[None])
         numbers = fitting.numbers_of(likelihood, model.robot)
         self.prior = fitting.prior_of(likelihood, model, numbers)
         self._products = likelihood.groups.products
-        self._gram = self._products(self._columns, self._columns)
-        self._slope = -self._products(self._columns, self._rows)[:, :, 0]
+        self._gram = self._products(self._jacobian, self._jacobian)
+        self._slope = -self._products(self._jacobian, self._residuals)[:, :, 0]
         self._noise = likelihood.noise_slopes(model, likelihood.weights(self._sums), numbers)
         self._limits = fitting.limits(model, numbers, self.prior, plausible * likelihood.sd)
         self.alone = self._least(self._gram, self._slope, self._noise, self.prior.pull,
@@ -219,7 +220,7 @@ class NormalEquations:
 
     def beside(self, added, noise=0.0, lowest=-np.inf, highest=np.inf, pull=0.0) -> Least:
         """
-        Return the Least with columns ``added`` (K, R), within bounds.
+        Return the Least with directions ``added`` (K, R), within bounds.
 
         ``noise`` is what encoder noise adds to their slopes, ``pull`` the inverse variance of a
         prior about zero: each (K,) or a number.
@@ -229,9 +230,9 @@ class NormalEquations:
         gram = np.empty((len(self._gram), k + count, k + count))
         gram[:, :k, :k] = self._gram
         gram[:, k:, k:] = self._products(added, added)
-        gram[:, k:, :k] = self._products(added, self._columns)
+        gram[:, k:, :k] = self._products(added, self._jacobian)
         gram[:, :k, k:] = gram[:, k:, :k].swapaxes(1, 2)
-        slope = np.concatenate([self._slope, -self._products(added, self._rows)[:, :, 0]],
+        slope = np.concatenate([self._slope, -self._products(added, self._residuals)[:, :, 0]],
                                axis=1)
 
         def whole(own, value):
@@ -241,7 +242,7 @@ class NormalEquations:
                            whole(low, lowest), whole(high, highest))
 
 
-def is_of_other_size(likelihood, model, columns, hypotheses) -> bool:
+def is_of_other_size(likelihood, model, jacobian, hypotheses) -> bool:
     """
     Return whether an effect of one size that was added would have to be of another one.
 
@@ -249,9 +250,9 @@ def is_of_other_size(likelihood, model, columns, hypotheses) -> bool:
     """
     for i, spec in enumerate(model.robot.effects[likelihood.known:], start=likelihood.known):
         if find(spec.name).of_one_size:
-            normal = NormalEquations(likelihood, model, columns)
+            normal = NormalEquations(likelihood, model, jacobian)
             less = likelihood.fitted(fitting.without(model.robot, i), model.x)
-            least = normal.beside((model.rows - less.rows)[None])
+            least = normal.beside((model.whitened - less.whitened)[None])
             if (abs(least.added[0]) > OTHER_SIZE and normal.alone.cost - least.cost
                     > EVIDENCE + 2.0 * np.log(max(hypotheses, 2))):
                 return True

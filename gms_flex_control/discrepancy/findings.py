@@ -38,7 +38,7 @@ def as_before(likelihood, state, before) -> State:
 
 def _unweighed(likelihood, model, nuisances, plausible):
     """Return a model as a State whose evidence is not asked for."""
-    own = fitting.effect_columns(likelihood, model, fitting.numbers_of(likelihood, model.robot))
+    own = fitting.effect_jacobian(likelihood, model, fitting.numbers_of(likelihood, model.robot))
     return State(model, nuisances, own, -np.inf, plausible)
 
 
@@ -53,9 +53,9 @@ def judged(likelihood, found, functions) -> tuple:
     found, worths = worth.pruned(likelihood, worth.timed(likelihood, found))
     whole = found
     while True:
-        model, columns = found.best.model, found.best.columns
-        beside = functions.ranked(model, columns)
-        left = functions.left_in(model, columns, beside)
+        model, jacobian = found.best.model, found.best.jacobian
+        beside = functions.ranked(model, jacobian)
+        left = functions.left_in(model, jacobian, beside)
         somewhere = joints_left(likelihood, model, left)
         if not worths or not somewhere:
             return found, worths, left, whole
@@ -101,7 +101,7 @@ def limited(likelihood, state, limit) -> State:
     if fitting.is_within(likelihood, model, limit):
         return state
     return state._replace(plausible=limit, model=fitting.fit(
-        likelihood, model.robot, model.x, state.columns, plausible=limit))
+        likelihood, model.robot, model.x, state.jacobian, plausible=limit))
 
 
 def _lessened(likelihood, found, one, held_out):
@@ -187,7 +187,7 @@ def evidence_shares(functions, model, worths, left, beside, somewhere) -> list:
     specs = [model.robot.effects[one.index] for one in worths]
     judged_here = [spec.joint in somewhere or find(spec.name).whole_arm for spec in specs]
     instead = [{free.place: free.evidence for free in functions.ranked(
-        one.less, one.rest.columns, spec.joint)
+        one.less, one.rest.jacobian, spec.joint)
         if free.evidence - rest[free.place] > thresholds.MOST_LEFT * one.outright}
         if is_judged else {}
         for spec, one, is_judged in zip(specs, worths, judged_here, strict=True)]
@@ -216,8 +216,8 @@ def findings_of(likelihood, found, worths, held_out) -> list:
     """Return a Finding for each Worth; ``main`` ones lessen held-out torque by what matters."""
     models, samples = posterior(found.tried, likelihood.known), likelihood.motions[0].samples
     whole = max(found.before.model.cost - found.best.model.cost, 1e-12)
-    beside = {other.key: other.gain for other in found.dictionary.ranked(
-        found.best.model, found.best.columns, thresholds.PLAUSIBLE)} if worths else {}
+    beside = {other.key: other.decrease for other in found.dictionary.ranked(
+        found.best.model, found.best.jacobian, thresholds.PLAUSIBLE)} if worths else {}
     out = []
     for one in worths:
         before, after, matters = _lessened(likelihood, found, one, held_out)
@@ -245,23 +245,24 @@ def _rivals(found, one, spec, beside):
     """
     Return (name, joint, share of its loss) of what could stand in an effect's place.
 
-    What another gains ``beside`` the effect (dict by key) is no share of what the effect explains.
+    What another explains ``beside`` the effect (dict by key) is no share of that.
     """
-    ranked = found.dictionary.ranked(one.less, one.rest.columns, thresholds.PLAUSIBLE)
-    shares = [(*other.key, min((other.gain - beside.get(other.key, 0.0)) / max(one.loss, 1e-12),
-                               1.0)) for other in ranked if other.key != spec.key]
+    ranked = found.dictionary.ranked(one.less, one.rest.jacobian, thresholds.PLAUSIBLE)
+    shares = [(*other.key, min((other.decrease - beside.get(other.key, 0.0))
+                               / max(one.loss, 1e-12), 1.0))
+              for other in ranked if other.key != spec.key]
     return sorted((rival for rival in shares if rival[2] > 0.0), key=lambda rival: -rival[2])[
         :_RUNNERS]
 
 
 def _values(likelihood, found, index):
     """Return the Values of one effect, intervals by curvature or the scatter of simulations."""
-    model, columns = found.best.model, found.best.columns
+    model, jacobian = found.best.model, found.best.jacobian
     numbers = fitting.numbers_of(likelihood, model.robot)
     weight = likelihood.weights(model.sums.groups)
     prior = fitting.prior_of(likelihood, model, numbers)
     free, scale = prior.free, prior.sd[prior.free]
-    used = fitting.informative(likelihood, model, columns)[free] * scale[:, None]
+    used = fitting.informative(likelihood, model, jacobian)[free] * scale[:, None]
     inverse = np.linalg.pinv((used * weight) @ used.T + np.eye(len(used)), hermitian=True)
     scatter = inverse @ (used * weight) @ likelihood.clean.T
     variance = np.zeros(len(free))

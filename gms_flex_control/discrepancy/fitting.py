@@ -135,8 +135,8 @@ def is_within(likelihood, model, plausible) -> bool:
     return bool(np.all(np.abs(model.x) <= plausible * likelihood.sd))
 
 
-def effect_columns(likelihood, model, numbers) -> np.ndarray:
-    """Return derivatives (V, R) of the rows of a Fitted by parameters of its effects."""
+def effect_jacobian(likelihood, model, numbers) -> np.ndarray:
+    """Return derivatives (V, R) of the residuals of a Fitted by parameters of its effects."""
     values = values_of(model.robot, numbers)
 
     def column(i):
@@ -145,7 +145,7 @@ def effect_columns(likelihood, model, numbers) -> np.ndarray:
         at[i] += step
         found = likelihood.change(model, at_values(model.robot, numbers, at), model.x) / step
         return found if np.isfinite(found).all() else np.zeros_like(found)  # runs away
-    return likelihood.each(column, range(len(numbers))).reshape(len(numbers), len(model.rows))
+    return likelihood.each(column, range(len(numbers))).reshape(len(numbers), len(model.whitened))
 
 
 class FreePriors(NamedTuple):
@@ -167,24 +167,24 @@ def prior_of(likelihood, model, numbers=None) -> FreePriors:
         np.concatenate([model.x, values_of(model.robot, numbers)]))
 
 
-def steps_without(likelihood, model, columns, numbers, parts, plausible) -> Iterator:
-    """Yield the step of `foreseen` by all rows but those of each of the ``parts``, bool (R,)."""
-    found = normal_equations(likelihood, model, columns, numbers, parts)
+def steps_without(likelihood, model, jacobian, numbers, parts, plausible) -> Iterator:
+    """Yield the step of `foreseen` by all residuals but each of the ``parts``, bool (R,)."""
+    found = normal_equations(likelihood, model, jacobian, numbers, parts)
     for k in range(len(parts)):
         others = zip(*(one for m, one in enumerate(found) if m != k), strict=True)
         yield _step(likelihood, model, numbers, *map(sum, others), plausible)[0]
 
 
-def normal_equations(likelihood, model, columns, numbers, parts) -> list[tuple]:
+def normal_equations(likelihood, model, jacobian, numbers, parts) -> list[tuple]:
     """
     Return the downhill slope of half the cost (C,), priors left aside, and products (C, C).
 
-    Those of columns and of noise in them, of each part of the rows.
+    Those of derivatives and of noise in them, of each part of the residuals.
     """
     weight, noise = likelihood.weights(model.sums.groups), likelihood.encoder_noise
-    shown, noise = noise.known(columns), noise.columns(model.robot, numbers)
+    shown, noise = noise.known(jacobian), noise.jacobian(model.robot, numbers)
     spread = 0.5 * weight * model.sums.cleared[likelihood.groups.group]
-    lost, left, found = likelihood.noise_cleared(model, weight), weight * model.rows, []
+    lost, left, found = likelihood.noise_cleared(model, weight), weight * model.whitened, []
     for part in parts:
         one, two = shown[:, part], noise[:, part]
         found.append((two @ lost[part] - one @ left[part],
@@ -192,16 +192,16 @@ def normal_equations(likelihood, model, columns, numbers, parts) -> list[tuple]:
     return found
 
 
-def foreseen(likelihood, model, columns, own, numbers, plausible) -> tuple:
+def foreseen(likelihood, model, jacobian, own, numbers, plausible) -> tuple:
     """
     Return the step (C,) to where a model is likeliest, and by how much the cost falls at most.
 
-    To first order, within ``plausible``; ``columns`` hardly change, the last are ``own``.
+    To first order, within ``plausible``; ``jacobian`` hardly changes, its last are ``own``.
     """
     weight, noise = 1.0 / likelihood.noise_levels(model.sums.groups), likelihood.encoder_noise
-    of_rows, grams = weight[likelihood.groups.group], likelihood.encoder_noise.grams_of(columns)
+    of_rows, grams = weight[likelihood.groups.group], likelihood.encoder_noise.grams_of(jacobian)
     of_numbers = noise.of_numbers(model.robot, numbers)
-    lost, left = likelihood.noise_cleared(model, of_rows), of_rows * model.rows
+    lost, left = likelihood.noise_cleared(model, of_rows), of_rows * model.whitened
     slope = (np.concatenate([noise.grams.fixed @ lost, of_numbers @ lost])
              - np.concatenate([grams.fixed @ left, own @ left]))
     return _step(likelihood, model, numbers, slope, grams.weighted(own, weight),
@@ -229,9 +229,9 @@ def _cleared(whole, added):
     return whole - (most * np.clip(share, 0.0, 1.0 - _LEAST_SHARE)) @ most.T
 
 
-def informative(likelihood, model, columns) -> np.ndarray:
-    """Return the columns (C, R) of a model, 0 where encoder noise hides them."""
-    return columns * likelihood.encoder_noise.informative(
+def informative(likelihood, model, jacobian) -> np.ndarray:
+    """Return the Jacobian (C, R) of a model, 0 where encoder noise hides them."""
+    return jacobian * likelihood.encoder_noise.informative(
         model.robot, numbers_of(likelihood, model.robot))
 
 
@@ -249,11 +249,11 @@ def limits(model, numbers, prior, farthest=np.inf) -> tuple:
     return low, high
 
 
-def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=8) -> Fitted:
+def fit(likelihood, robot, x, jacobian, first=None, plausible=np.inf, iterations=8) -> Fitted:
     """
     Move nuisance parameters and the numbers of effects to where a model is likeliest, a Fitted.
 
-    From ``robot`` and ``x`` (P,). ``columns`` (C, R) are derivatives that hardly change: by
+    From ``robot`` and ``x`` (P,). ``jacobian`` (C, R) has derivatives that hardly change: by
     nuisance parameters and, if they are known, by the first numbers of these effects; others are
     taken anew each time. Effects before the ``first``, default those the user knows, are left as
     they are; nuisance parameters go ``plausible`` standard deviations of their priors, a number or
@@ -263,7 +263,7 @@ def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=
     x = np.clip(x, -plausible * likelihood.sd, plausible * likelihood.sd)
     model, best = likelihood.fitted(robot, x), None
     for _ in range(_ANCHORED):
-        found = _descended(likelihood, model, columns, first, plausible, iterations)
+        found = _descended(likelihood, model, jacobian, first, plausible, iterations)
         if not likelihood.encoder_noise.is_foreseen(robot):
             return found
         model = likelihood.exact(found)
@@ -279,29 +279,29 @@ def total_cost(likelihood, model) -> float:
     return model.cost + prior_cost(model, numbers_of(likelihood, model.robot))
 
 
-def _descended(likelihood, model, columns, first, plausible, iterations):
+def _descended(likelihood, model, jacobian, first, plausible, iterations):
     """Return a Fitted at the minimum of the cost, what noise adds to first order."""
-    known, own = len(columns) - len(model.x), None
+    known, own = len(jacobian) - len(model.x), None
     for _ in range(iterations):
         if not np.isfinite(model.cost):
             break  # a motion that runs away gives no direction
         numbers = numbers_of(likelihood, model.robot, first)
         if own is None:
-            own = effect_columns(likelihood, model, numbers[known:])
-        step, most = foreseen(likelihood, model, columns, own, numbers, plausible)
+            own = effect_jacobian(likelihood, model, numbers[known:])
+        step, most = foreseen(likelihood, model, jacobian, own, numbers, plausible)
         values = values_of(model.robot, numbers)
         for shrink in _SHRINK if most > _TRIFLE else _SHRINK[:1]:
             other = likelihood.fitted(
                 at_values(model.robot, numbers, values + shrink * step[len(model.x):]),
                 model.x + shrink * step[:len(model.x)])
-            gain = model.cost - other.cost + prior_cost(model, numbers) - prior_cost(
+            decrease = model.cost - other.cost + prior_cost(model, numbers) - prior_cost(
                 other, numbers)
-            if gain > 0.0:
+            if decrease > 0.0:
                 break
         else:
             break
         model = other
-        if gain < _ENOUGH:
+        if decrease < _ENOUGH:
             break
         moved = np.abs(values_of(model.robot, numbers) - values)[known:]
         if np.any(moved > _NEAR * np.array([one.step for one in numbers[known:]])):
@@ -316,18 +316,18 @@ def prior_cost(model, numbers) -> float:
                      if one.centred))
 
 
-def retuned(likelihood, robot, x, plausible=np.inf, columns=None) -> tuple:
-    """Return a Fitted re-tuned from ``x`` (P,), and its columns, anew where it has moved."""
-    fixed = columns is not None
+def retuned(likelihood, robot, x, plausible=np.inf, jacobian=None) -> tuple:
+    """Return a Fitted re-tuned from ``x`` (P,), and its Jacobian, anew where it has moved."""
+    fixed = jacobian is not None
     if not fixed:
-        columns = likelihood.columns(likelihood.fitted(robot, x))
+        jacobian = likelihood.jacobian(likelihood.fitted(robot, x))
     for _ in range(_RETUNED):
-        model = fit(likelihood, robot, x, columns, first=len(robot.effects), plausible=plausible)
+        model = fit(likelihood, robot, x, jacobian, first=len(robot.effects), plausible=plausible)
         moved, x = np.abs(model.x - x) / likelihood.sd, model.x
         if fixed or moved.max() < 1.0:
             break
-        columns = likelihood.columns(model)
-    return model, columns
+        jacobian = likelihood.jacobian(model)
+    return model, jacobian
 
 
 def with_white_noise(likelihood) -> tuple:
@@ -343,15 +343,15 @@ def with_white_noise(likelihood) -> tuple:
 
 
 def refitted(likelihood, robot, x, nuisances, iterations=8) -> tuple:
-    """Return a Fitted, all effects fitted together, and columns; ``nuisances`` (P, R) are kept."""
+    """Return a Fitted, all effects fitted together, and Jacobian, ``nuisances`` (P, R) kept."""
     model = fit(likelihood, robot, x, nuisances, iterations=iterations)
     return model, extended(likelihood, model, nuisances)
 
 
-def extended(likelihood, model, columns, first=None) -> np.ndarray:
-    """Return columns (C, R), then those by the numbers of effects from the ``first`` on."""
+def extended(likelihood, model, jacobian, first=None) -> np.ndarray:
+    """Return a Jacobian (C, R), then that by the numbers of effects from the ``first`` on."""
     numbers = numbers_of(likelihood, model.robot, first)
-    return np.concatenate([columns, effect_columns(likelihood, model, numbers)])
+    return np.concatenate([jacobian, effect_jacobian(likelihood, model, numbers)])
 
 
 def without(robot, *dropped) -> RobotParams:
@@ -360,8 +360,8 @@ def without(robot, *dropped) -> RobotParams:
         spec for i, spec in enumerate(robot.effects) if i not in dropped))
 
 
-def columns_without(likelihood, model, columns, *dropped) -> np.ndarray:
-    """Return the columns of a model but those by numbers of some of its effects (indices)."""
+def jacobian_without(likelihood, model, jacobian, *dropped) -> np.ndarray:
+    """Return the Jacobian of a model without numbers of some of its effects (indices)."""
     numbers = numbers_of(likelihood, model.robot)
     own = [len(model.x) + k for k, one in enumerate(numbers) if one.effect in dropped]
-    return np.delete(columns, own, axis=0)
+    return np.delete(jacobian, own, axis=0)

@@ -109,7 +109,7 @@ class HeldOut:
     def action(self, model, other) -> np.ndarray:
         """Return the difference of the torques of two Fitted, joints in motion, rms (n,) [N m]."""
         measured = self._measured
-        squares = measured.whitened.in_motion([(one - two) ** 2 for one, two in zip(
+        squares = measured.whitener.in_motion([(one - two) ** 2 for one, two in zip(
             measured.torque(model), measured.torque(other), strict=True)])
         return np.sqrt(squares.reshape(2, -1).sum(axis=0))
 
@@ -141,7 +141,7 @@ class HeldOut:
             return _whole(self.other, model)
         numbers = numbers_of(likelihood, model.robot)
         values, found = values_of(model.robot, numbers), []
-        of_folds = steps(likelihood, model, state.columns, state.plausible)
+        of_folds = steps(likelihood, model, state.jacobian, state.plausible)
         for k, (_, step) in enumerate(of_folds):
             robot = at_values(model.robot, numbers, values + step[len(model.x):])
             masks = [whitening.settled & (block % FOLDS == k) for whitening, block in zip(
@@ -198,8 +198,8 @@ def _torque(likelihood, parts, motions=None):
             if motions:
                 residual = residual + drawn_noise(
                     likelihood, m, np.random.default_rng(_SEED))
-            rows, still = whitening.torque_rows(residual), likelihood.groups.at_rest[m]
-            link, motor = rows[:, :n], rows[:, n:]
+            torque, still = whitening.low_passed(residual), likelihood.groups.at_rest[m]
+            link, motor = torque[:, :n], torque[:, n:]
             for side, where in enumerate((~still & mask[:, None], still & mask[:, None])):
                 squares[side] += np.sum((link ** 2 + motor ** 2) * where, axis=0)
                 counts[side] += where.sum(axis=0)
@@ -256,7 +256,7 @@ def _runs_inform(likelihood):
         inertial = (inertial_torque(motion.states, constants, work)
                     + chain.flexible * chain.motor_inertia * motion.states[:, 5])
         taken += np.mean(inertial ** 2, axis=0)
-        left += np.mean(whitening.torque_rows(residual[:, :n] + residual[:, n:]) ** 2, axis=0)
+        left += np.mean(whitening.low_passed(residual[:, :n] + residual[:, n:]) ** 2, axis=0)
     return bool(np.any(taken > INERTIAL ** 2 * left))
 
 

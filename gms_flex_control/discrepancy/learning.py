@@ -118,9 +118,9 @@ class _Learning:
 
     def __init__(self, likelihood, measured, before, say, plausible=np.inf):
         self.likelihood, self._measured, self._say = likelihood, measured, say
-        self._nuisances = likelihood.columns(before)
+        self._nuisances = likelihood.jacobian(before)
         self._plausible = plausible  # standard deviations that nuisance parameters may go
-        self._before = State(before, self._nuisances, fitting.effect_columns(
+        self._before = State(before, self._nuisances, fitting.effect_jacobian(
             likelihood, before, fitting.numbers_of(likelihood, before.robot)), -np.inf, PLAUSIBLE)
         joints = range(likelihood.robot.n_joints)
         self._ranges = [_ranges(likelihood, j) for j in joints]
@@ -133,8 +133,8 @@ class _Learning:
                             plausible=self._plausible)
         return self._state(model, fitting.extended(self.likelihood, model, self._nuisances))
 
-    def _state(self, model, columns):
-        return state_of(self.likelihood, model, columns, self._count)._replace(
+    def _state(self, model, jacobian):
+        return state_of(self.likelihood, model, jacobian, self._count)._replace(
             plausible=self._plausible)
 
     def run(self, state) -> tuple:
@@ -173,8 +173,8 @@ class _Learning:
 
     def _gain(self, one, state):
         """Return the Gain of a State with a term on blocks left out, over that without it."""
-        likelihood, change = self.likelihood, state.model.rows - one.model.rows
-        return gain_of(likelihood, *((each.model, each.columns) for each in (one, state)), change,
+        likelihood, change = self.likelihood, state.model.whitened - one.model.whitened
+        return gain_of(likelihood, *((each.model, each.jacobian) for each in (one, state)), change,
                        np.minimum(plausible_limit(likelihood, one.model), self._plausible))
 
     def _closer(self, state, gap):
@@ -188,10 +188,10 @@ class _Learning:
         """Return how many parameters of the last term the data determine, effectively."""
         likelihood, model, spec = self.likelihood, one.model, one.model.robot.effects[-1]
         count = shapes.LEARNED[spec.name].count
-        columns = fitting.informative(likelihood, model, one.columns)[-count:]
+        jacobian = fitting.informative(likelihood, model, one.jacobian)[-count:]
         values, size = np.array(spec.values[:count]), [
             number.sd for number in fitting.numbers_of(likelihood, model.robot)[-count:]]
-        scaled = (columns * np.array(size)[:, None])[values != 0.0]
+        scaled = (jacobian * np.array(size)[:, None])[values != 0.0]
         known = np.linalg.eigvalsh((scaled * likelihood.weights(model.sums.groups)) @ scaled.T)
         return float(np.sum(np.maximum(known, 0.0) / (1.0 + np.maximum(known, 0.0))))
 
@@ -228,13 +228,13 @@ class _Learning:
             values = (*(size * (i == k) for i in range(count)), *spec.values[count:])
             probe = with_effects(base.robot, replace(spec, values=values))
             return likelihood.change(model, probe, base.x) / size
-        own = np.zeros((count, len(model.rows)))
+        own = np.zeros((count, len(model.whitened)))
         own[:_used(spec)] = likelihood.each(column, range(_used(spec)))
-        columns, at = np.concatenate([state.columns, own]), len(base.x)
+        jacobian, at = np.concatenate([state.jacobian, own]), len(base.x)
         for _ in range(_ITERATIONS):
             numbers = [one._replace(reach=np.inf)
                        for one in fitting.numbers_of(likelihood, model.robot)]
-            step, _ = fitting.foreseen(likelihood, model, columns, columns[:0], numbers,
+            step, _ = fitting.foreseen(likelihood, model, jacobian, jacobian[:0], numbers,
                                        self._plausible)
             other = likelihood.fitted(
                 fitting.at_values(model.robot, numbers, fitting.values_of(
@@ -244,7 +244,7 @@ class _Learning:
                     < fitting.total_cost(likelihood, model)):
                 break
             model = other
-        return self._state(model, columns)
+        return self._state(model, jacobian)
 
 
 def _ranges(likelihood, j):

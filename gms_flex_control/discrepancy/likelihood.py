@@ -38,7 +38,7 @@ from gms_flex_control.discrepancy.null_simulation import (
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR, UNSEEN
 from gms_flex_control.discrepancy.torque_noise import drawn_noise
-from gms_flex_control.discrepancy.whitening import Groups, WhitenedRecordings, Whitening
+from gms_flex_control.discrepancy.whitening import Groups, Whitener, Whitening
 from gms_flex_control.effects.base import Change, Scales
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import EffectSpec
@@ -69,8 +69,8 @@ class Fitted:
     robot: object     # RobotParams, with effects
     x: np.ndarray     # (P,) nuisance parameters
     residuals: list   # of each recording, (S, 2 n) [N m]
-    rows: np.ndarray  # (R,) whitened, less what every null simulation shows
-    sums: Sums        # of the rows
+    whitened: np.ndarray  # (R,) residuals, less what every null simulation shows
+    sums: Sums        # of these
 
     @property
     def cost(self) -> float:
@@ -98,12 +98,12 @@ class Residuals:
     @property
     def groups(self) -> Groups:
         """Return the groups of whitened residuals."""
-        return self.whitened.groups
+        return self.whitener.groups
 
     @property
     def whitenings(self) -> tuple[Whitening, ...]:
         """Return the Whitening of each recording."""
-        return self.whitened.whitenings
+        return self.whitener.whitenings
 
     @property
     def coulomb(self) -> np.ndarray:
@@ -164,13 +164,13 @@ class Residuals:
         self.noise, floor = noise, PRACTICAL_FLOOR * np.tile(self.coulomb, 2)
         runs = [[residual + drawn_noise(self, m, np.random.default_rng([self.seed, 7, k, m]))
                  for m, residual in enumerate(run)] for k, run in enumerate(self.null.clean)]
-        self.whitened = WhitenedRecordings(self.motions, [
+        self.whitener = Whitener(self.motions, [
             Whitening(np.stack(clean[_NULL_RUNS - _MEASURED_BY:]), motion.period, floor,
                       motion.known)
             for motion, clean in zip(self.motions, zip(*runs, strict=True), strict=True)])
-        clean = np.stack([self.whitened.rows_of(run) for run in runs])
+        clean = np.stack([self.whitener.whiten(run) for run in runs])
         # what filters leave at every reversal, say, though nothing is missing: so they do of the
-        # recording, whose rows scatter by that of this mean as well
+        # recording, whose residuals scatter by that of this mean as well
         self.usual, count = clean.mean(axis=0), len(clean)
         self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
 
@@ -218,7 +218,7 @@ class Residuals:
 
     def torque(self, model) -> list:
         """Return the residual torques of a model behind the low-pass, (S', 2 n) each [N m]."""
-        return self.whitened.behind_low_pass(self.residuals(self.motions, model.robot, model.x))
+        return self.whitener.behind_low_pass(self.residuals(self.motions, model.robot, model.x))
 
 
 class Likelihood(Residuals):
@@ -257,7 +257,7 @@ class Likelihood(Residuals):
         self.pair = misread.pair
         self.encoder_noise = EncoderNoise(
             self, self.null.robot, self.null.x,
-            [[self.whitened.rows_of_spectra(run) for run in pair] for pair in misread.by_step],
+            [[self.whitener.whiten_spectra(run) for run in pair] for pair in misread.by_step],
             self._cautious)
 
     def simulated_as(self, model) -> Self:
@@ -294,7 +294,7 @@ class Likelihood(Residuals):
 
     # --- likelihood --------------------------------------------------------------------------
 
-    def sums(self, rows, robot, x, exact=False) -> Sums:
+    def sums(self, whitened, robot, x, exact=False) -> Sums:
         """
         Return the Sums of a model.
 
@@ -305,7 +305,7 @@ class Likelihood(Residuals):
             *self.of_pair(robot, x))) if exact else of_noise.along(robot, x)
         own = 0.5 * of_noise.own_sums
         added, most = 0.5 * groups.sums(noise ** 2) - own, _MOST_ADDED * own
-        whole = groups.sums(rows ** 2)
+        whole = groups.sums(whitened ** 2)
         # a recording that is quieter than null simulations has less noise to be cleared of
         share = np.minimum(whole / np.maximum(own + added, 1e-300), 1.0)
         chance = groups.count - _LOW * np.sqrt(2.0 * groups.count)
@@ -324,12 +324,12 @@ class Likelihood(Residuals):
         return np.clip(np.asarray(sums) / self.groups.count, 1.0, _HIGHEST)
 
     def weights(self, sums) -> np.ndarray:
-        """Return the weights of the rows (R,) at the likeliest noise levels of sums (G,)."""
+        """Return the weights of residuals (R,) at the likeliest noise levels of sums (G,)."""
         return (1.0 / self.noise_levels(sums))[self.groups.group]
 
     def noise_slopes(self, model, weight, numbers=()) -> np.ndarray:
         """Return what encoder noise adds to informative downhill slopes, (C,) or (C, K)."""
-        return (self.encoder_noise.columns(model.robot, numbers)
+        return (self.encoder_noise.jacobian(model.robot, numbers)
                 * self.encoder_noise.informative(model.robot, numbers)
                 ) @ self.noise_cleared(model, weight).T
 
@@ -339,29 +339,29 @@ class Likelihood(Residuals):
             model.robot, model.x)
 
     def noise_added(self, model) -> np.ndarray:
-        """Return what encoder noise adds to squares of rows (R,) beyond null simulations."""
+        """Return what encoder noise adds to squares of residuals (R,) beyond null simulations."""
         noise = self.encoder_noise
         return 0.5 * model.sums.cleared[self.groups.group] * (
             noise.along(model.robot, model.x) ** 2 - noise.own ** 2)
 
     def change(self, begun, robot, x) -> np.ndarray:
-        """Return the `rows` of a model (R,) less those of a Fitted."""
-        return self.whitened.rows_of([one - other for one, other in zip(
+        """Return the whitened residuals of a model (R,) less those of a Fitted."""
+        return self.whitener.whiten([one - other for one, other in zip(
             self.residuals(self.motions, robot, x), begun.residuals, strict=True)])
 
     def of_pair(self, robot, x) -> list:
         """Return whitened residuals (R,) of a model along two null simulations of one motion."""
-        return [self.whitened.rows_of(self.residuals(run, robot, x)) for run in self.pair]
+        return [self.whitener.whiten(self.residuals(run, robot, x)) for run in self.pair]
 
     def fitted(self, robot, x) -> Fitted:
         """Return a model as it is, a Fitted."""
         residuals = self.residuals(self.motions, robot, x)
-        rows = self.whitened.rows_of(residuals) - self.usual
-        return Fitted(robot, x, residuals, rows, self.sums(rows, robot, x))
+        whitened = self.whitener.whiten(residuals) - self.usual
+        return Fitted(robot, x, residuals, whitened, self.sums(whitened, robot, x))
 
     def exact(self, model) -> Fitted:
         """Return a Fitted with what encoder noise adds simulated: others are compared with it."""
-        return replace(model, sums=self.sums(model.rows, model.robot, model.x, exact=True))
+        return replace(model, sums=self.sums(model.whitened, model.robot, model.x, exact=True))
 
     def resting(self, robot) -> np.ndarray:
         """Return which nuisance parameters (P,) an effect of a model replaces, bool."""
@@ -373,10 +373,10 @@ class Likelihood(Residuals):
         """Return what a function gives of each job, in threads, stacked."""
         return np.array(list(self.pool.map(function, jobs)))
 
-    def columns(self, model) -> np.ndarray:
-        """Return derivatives (P, R) of the rows of a Fitted by the nuisance parameters."""
+    def jacobian(self, model) -> np.ndarray:
+        """Return derivatives (P, R) of the residuals of a Fitted by nuisance parameters."""
         def column(i):
             at = model.x.copy()
             at[i] += NUISANCE_STEP
             return self.change(model, model.robot, at) / NUISANCE_STEP
-        return self.each(column, range(len(model.x))).reshape(len(model.x), len(model.rows))
+        return self.each(column, range(len(model.x))).reshape(len(model.x), len(model.whitened))

@@ -130,16 +130,16 @@ def is_followed(likelihood, model) -> bool:
     One that lacks more torque than the recording does, beyond what drives make, goes its own
     way: it shows what a model does that is driven wild, not what noise does.
     """
-    whitened = likelihood.whitened
+    whitener = likelihood.whitener
     try:
         runs = likelihood.null_simulations(model.robot, model.x)(
             np.random.default_rng(likelihood.seed) for _ in likelihood.motions)
     except SimulationError:
         return False
-    own = whitened.behind_low_pass(likelihood.unexplained(runs, model.robot, model.x))
-    most = np.maximum(whitened.in_motion([one ** 2 for one in likelihood.torque(model)]),
+    own = whitener.behind_low_pass(likelihood.unexplained(runs, model.robot, model.x))
+    most = np.maximum(whitener.in_motion([one ** 2 for one in likelihood.torque(model)]),
                       likelihood.largest_noise ** 2)
-    return bool(np.all(whitened.in_motion([one ** 2 for one in own])
+    return bool(np.all(whitener.in_motion([one ** 2 for one in own])
                        <= _WILD * most))  # not where it is not finite
 
 
@@ -233,7 +233,7 @@ class EncoderNoise:
                                 dtype=bool)
         self.grams = Grams(self._groups, self.known(self._by_nuisance))
         self._by_effect = {}  # (effect, joint): as `_shown`, a row for each parameter
-        self._grams = None    # columns and their Grams, the last that were asked for
+        self._grams = None    # a Jacobian and its Grams, the last that were asked for
         self._anchors = {}    # effects that were added, all (effect, joint): effects, x and noise
 
     def _shown(self, pair, step):
@@ -277,20 +277,20 @@ class EncoderNoise:
         return self._with_numbers(self._informative[:, self._groups.group], self.informative_of,
                                   robot, numbers)
 
-    def known(self, columns) -> np.ndarray:
-        """Return columns (C, R), 0 where a nuisance is of shape and the residuals mostly noise."""
-        known = columns.copy()
+    def known(self, jacobian) -> np.ndarray:
+        """Return a Jacobian (C, R), 0 where a nuisance is of shape and residuals mostly noise."""
+        known = jacobian.copy()
         for i in np.flatnonzero(self._shapes):
             known[i] *= self._informative[i][self._groups.group]
         return known
 
-    def grams_of(self, columns) -> Grams:
-        """Return the Grams of what is `known` of columns (C, R); the last are kept."""
-        if self._grams is None or self._grams[0] is not columns:
-            self._grams = columns, Grams(self._groups, self.known(columns))
+    def grams_of(self, jacobian) -> Grams:
+        """Return the Grams of what is `known` of a Jacobian (C, R); the last are kept."""
+        if self._grams is None or self._grams[0] is not jacobian:
+            self._grams = jacobian, Grams(self._groups, self.known(jacobian))
         return self._grams[1]
 
-    def columns(self, robot, numbers) -> np.ndarray:
+    def jacobian(self, robot, numbers) -> np.ndarray:
         """Return how noise shows in derivatives by nuisances and numbers (C, R)."""
         return np.concatenate([self.grams.fixed, self.of_numbers(robot, numbers)])
 

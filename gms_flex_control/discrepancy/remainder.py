@@ -196,9 +196,9 @@ class FreeFunctions:
                               for name, hats in shapes.items()
                               if name != 'torsion' or equation == 'link']
 
-    def ranked(self, model, columns, joint=None) -> list:
+    def ranked(self, model, jacobian, joint=None) -> list:
         """Return the free functions beside a Fitted, list of Free, that of most evidence first."""
-        normal = NormalEquations(self._likelihood, model, columns)
+        normal = NormalEquations(self._likelihood, model, jacobian)
         lost = self._likelihood.noise_cleared(model, self._likelihood.weights(model.sums.groups))
         here = [one for one in self._all if joint in (None, 'arm', one.joint)]
         found = self._likelihood.pool.map(lambda one: self._gained(normal, lost, one), here)
@@ -219,39 +219,39 @@ class FreeFunctions:
 
     def _rows(self, free):
         """Return whitened residuals (K, R) of triangles and noise."""
-        whitened, n = self._likelihood.whitened, self._likelihood.robot.n_joints
+        whitener, n = self._likelihood.whitener, self._likelihood.robot.n_joints
         j = self._likelihood.robot.joints.index(free.joint)
 
         def rows_of(values):
-            rows = whitened.rows_of_each(values, j + n * (free.equation == 'motor'))
-            return (rows - whitened.rows_of_each(values, j + n) if free.variable == 'torsion'
+            rows = whitener.whiten_each(values, j + n * (free.equation == 'motor'))
+            return (rows - whitener.whiten_each(values, j + n) if free.variable == 'torsion'
                     else rows)
         rows = rows_of(free.triangles())
         return rows, np.zeros_like(rows) if free.noise is None else rows_of(free.noise())
 
-    def left_in(self, model, columns, ranked=None) -> Free | None:
+    def left_in(self, model, jacobian, ranked=None) -> Free | None:
         """Return the Free function, of ``ranked`` ones or all, that a model lacks, or None."""
         without = normal = None
-        for free in (self.ranked(model, columns) if ranked is None else ranked)[:_TRIED]:
+        for free in (self.ranked(model, jacobian) if ranked is None else ranked)[:_TRIED]:
             if (free.evidence <= EVIDENCE
                     or free.torque <= LEAST * self._likelihood.level_of(free.joint)):
                 continue
             rows, noise = self._rows(free)
             if without is None:
-                normal = NormalEquations(self._likelihood, model, columns)
-                without = self._predicted(normal, model, columns, rows[:0], rows[:0])
-            gain = gain_over(self._predicted(normal, model, columns, rows, noise) - without)
+                normal = NormalEquations(self._likelihood, model, jacobian)
+                without = self._predicted(normal, model, jacobian, rows[:0], rows[:0])
+            gain = gain_over(self._predicted(normal, model, jacobian, rows, noise) - without)
             if gain.is_real(self._likelihood.caution):
                 return free
         return None
 
-    def _predicted(self, normal, model, columns, rows, noise):
+    def _predicted(self, normal, model, jacobian, rows, noise):
         """Return log likelihoods of blocks left out (B,), with a function of ``rows`` (K, R)."""
         likelihood, numbers = self._likelihood, numbers_of(self._likelihood, model.robot)
         pull = 1.0 / likelihood.coulomb.max() ** 2
         weight = likelihood.weights(normal.beside(rows, pull=pull).sums)
         prior, every = prior_of(likelihood, model, numbers), np.concatenate(
-            [informative(likelihood, model, columns), rows])
+            [informative(likelihood, model, jacobian), rows])
         free = np.concatenate([prior.free, np.ones(len(rows), dtype=bool)])
         towards = np.concatenate([prior.pull * prior.values, np.zeros(len(rows))])
         pull = np.concatenate([prior.pull, np.full(len(rows), pull)])
@@ -259,14 +259,14 @@ class FreeFunctions:
         kept = weight * ~np.array(parts)
         slopes = np.concatenate([likelihood.noise_slopes(model, kept, numbers),
                                  noise @ likelihood.noise_cleared(model, kept).T])
-        slopes -= every @ (kept * model.rows).T + towards[:, None]
+        slopes -= every @ (kept * model.whitened).T + towards[:, None]
         grams = [(every[:, part] * weight[part]) @ every[:, part].T for part in parts]
         out, step = np.zeros(likelihood.groups.blocks), np.zeros(len(every))
         for k, left_out in enumerate(parts):
             gram = np.diag(pull) + sum(one for m, one in enumerate(grams) if m != k)
             step[free] = np.linalg.lstsq(gram[np.ix_(free, free)], slopes[free, k],
                                          rcond=1e-12)[0]
-            out += of_blocks(likelihood, left_out, model.rows + step @ every, weight)
+            out += of_blocks(likelihood, left_out, model.whitened + step @ every, weight)
         return out
 
 

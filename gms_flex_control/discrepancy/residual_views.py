@@ -76,7 +76,7 @@ class Along:
         generators = [np.random.default_rng([_SEED, m]) for m in range(len(likelihood.motions))]
         runs = likelihood.null_simulations(model.robot, model.x)(generators)
         return self._kept([
-            whitening.torque_rows(left + drawn_noise(likelihood, m, generators[m]))
+            whitening.low_passed(left + drawn_noise(likelihood, m, generators[m]))
             for m, (left, whitening) in enumerate(zip(
                 likelihood.unexplained(runs, model.robot, model.x), likelihood.whitenings,
                 strict=True))])

@@ -2,8 +2,8 @@
 """
 The search for what is missing: a beam over sets of effects, ordered by evidence.
 
-The dictionary shows which effects would gain most; only those are fitted in full. Neighbours of a
-set have one effect more, another in the place of one, or one in the place of two.
+The dictionary shows which effects would lower the cost most; only those are fitted in full.
+Neighbours of a set have one effect more, another in the place of one, or one in the place of two.
 """
 
 from itertools import combinations
@@ -19,8 +19,8 @@ import numpy as np
 _BEAM = 2             # sets that are followed, while there are few effects
 _FEW = 3              # effects: with more, one set is followed
 _SHORTLIST = 3        # hypotheses that are better when they are fitted in full
-_CLOSE = 0.25         # of the best gain: with less, no hypothesis is fitted
-_NEARLY = 0.9         # of what an effect explains: a rival gains so much at a first guess
+_CLOSE = 0.25         # of the largest decrease: with less, no hypothesis is fitted
+_NEARLY = 0.9         # of what an effect explains: a rival explains so much at a first guess
 _FAR = 3.0            # standard deviations that a nuisance parameter moves: its effect is another
 _ANEW = 2             # times that derivatives are then taken anew
 _WAITS = 0.1          # of the evidence gained since noise was simulated: less may be its error
@@ -34,7 +34,7 @@ class Found(NamedTuple):
     best: State        # with the effects found
     tried: tuple       # of State: all that were fitted
     first: tuple       # of Ranked: the best of the first scan, within bounds
-    scan: dict         # (effect, joint) to gain: all of it, bounds left aside
+    scan: dict         # (effect, joint) to decrease of the cost: all of it, bounds left aside
     dictionary: Dictionary
     nuisances: np.ndarray  # (P, R) derivatives by the nuisance parameters, of the last model
     hypotheses: int    # effects of joints that were looked for
@@ -90,19 +90,19 @@ class _Search:
         self.before = State(plausible, self.nuisances, self.nuisances[:0], -np.inf, PLAUSIBLE)
         self.best = self._tried(*fitting.retuned(
             likelihood, likelihood.robot, np.where(np.abs(x) > np.abs(plausible.x), x,
-                                                   plausible.x), columns=self.nuisances))
+                                                   plausible.x), jacobian=self.nuisances))
         self.first = begin.first if begin else tuple(
             self.dictionary.ranked(plausible, self.nuisances, PLAUSIBLE))
         self.scan = begin.scan if begin else self.dictionary.largest(plausible, self.nuisances)
 
-    def _tried(self, model, columns):
+    def _tried(self, model, jacobian):
         """Return a model as a State, the best of those tried with the same effects."""
-        state = state_of(self._likelihood, model, columns, self.hypotheses)
+        state = state_of(self._likelihood, model, jacobian, self.hypotheses)
         shared = np.array_equal(state.nuisances, self.nuisances)
         state = state._replace(nuisances=self.nuisances if shared else state.nuisances.copy(),
                                own=state.own.copy())
         if self._is_at_limit(model) or is_of_other_size(
-                self._likelihood, model, columns, self.hypotheses):
+                self._likelihood, model, jacobian, self.hypotheses):
             state = state._replace(evidence=-np.inf)  # where the search ends is no value
         key = state.key(self._known)
         if key not in self.tried or state.evidence > self.tried[key].evidence:
@@ -154,14 +154,14 @@ class _Search:
     def _neighbours(self, state, shortlist, worth):
         """Return the States with one effect more, the likeliest few that gain evidence."""
         least, found = worth + 2.0 * np.log(self.hypotheses), {}
-        for model, columns, limit in self._bases(state):
-            ranked, better = self.dictionary.ranked(model, columns, limit), 0
+        for model, jacobian, limit in self._bases(state):
+            ranked, better = self.dictionary.ranked(model, jacobian, limit), 0
             for one in ranked:
-                if one.gain < max(_CLOSE * ranked[0].gain, least) or better == shortlist:
+                if one.decrease < max(_CLOSE * ranked[0].decrease, least) or better == shortlist:
                     break
                 if one.key in found:
                     continue
-                other = self._with(one.spec, model, columns)
+                other = self._with(one.spec, model, jacobian)
                 if other is not None:
                     found[one.key] = other
                     better += other.evidence > state.evidence + EVIDENCE
@@ -172,23 +172,23 @@ class _Search:
 
     def _bases(self, state):
         """
-        Yield a model, its columns, and how far nuisance parameters may go from there.
+        Yield a model, its Jacobian, and how far nuisance parameters may go from there.
 
         As it is, and with nuisance parameters that are plausible: where they are not, they stand
         for something that is missing.
         """
         model = state.model
-        yield model, state.columns, np.inf
+        yield model, state.jacobian, np.inf
         if not fitting.is_within(self._likelihood, model, PLAUSIBLE):
-            columns = np.concatenate([self.nuisances, state.own])
-            yield (fitting.fit(self._likelihood, model.robot, model.x, columns,
-                               plausible=PLAUSIBLE), columns, PLAUSIBLE)
+            jacobian = np.concatenate([self.nuisances, state.own])
+            yield (fitting.fit(self._likelihood, model.robot, model.x, jacobian,
+                               plausible=PLAUSIBLE), jacobian, PLAUSIBLE)
 
-    def _with(self, spec, model, columns):
+    def _with(self, spec, model, jacobian):
         """Return the State of a model with one effect more, None if it ends at a limit."""
-        model = fitting.fit(self._likelihood, with_effects(model.robot, spec), model.x, columns)
+        model = fitting.fit(self._likelihood, with_effects(model.robot, spec), model.x, jacobian)
         return None if self._is_at_limit(model) else self._tried(model, fitting.extended(
-            self._likelihood, model, columns, len(model.robot.effects) - 1))
+            self._likelihood, model, jacobian, len(model.robot.effects) - 1))
 
     def _anew(self, state, x):
         """
@@ -201,7 +201,7 @@ class _Search:
             if np.max(np.abs(model.x - x) / likelihood.sd) < _FAR:
                 break
             x = model.x
-            nuisances = likelihood.columns(model)
+            nuisances = likelihood.jacobian(model)
             state = max(state, self._tried(*fitting.refitted(
                 likelihood, model.robot, x, nuisances)), key=lambda one: one.evidence)
             model = state.model
@@ -223,14 +223,14 @@ class _Search:
         """Try a model without some effects, and with another in their place."""
         likelihood, model = self._likelihood, self.best.model
         robot = fitting.without(model.robot, *dropped)
-        others = fitting.columns_without(likelihood, model, self.best.columns, *dropped)
+        others = fitting.jacobian_without(likelihood, model, self.best.jacobian, *dropped)
         anything = fitting.fit(likelihood, robot, model.x, others)
         states = [self._tried(anything, others)]
         less = anything if fitting.is_within(likelihood, anything, PLAUSIBLE) else fitting.fit(
             likelihood, robot, model.x, others, plausible=PLAUSIBLE)
         loss, keys = less.cost - model.cost, {model.robot.effects[i].key for i in dropped}
         for one in self.dictionary.ranked(less, others, PLAUSIBLE)[:_SHORTLIST]:
-            other = one.gain >= _NEARLY * loss and one.key not in keys and self._with(
+            other = one.decrease >= _NEARLY * loss and one.key not in keys and self._with(
                 one.spec, less, others)
             if other:
                 states.append(other)
@@ -243,5 +243,5 @@ class _Search:
         """Fit all once more by derivatives of the model found: those of the first are stale."""
         model = self.best.model
         if len(model.robot.effects) > self._known:
-            self.nuisances = self._likelihood.columns(model)
+            self.nuisances = self._likelihood.jacobian(model)
             self._take(model)

@@ -50,7 +50,7 @@ def white_noise(likelihood, model) -> np.ndarray:
     Nuisance parameters of ``model`` are re-tuned. The quietest of the high octaves decides:
     what is missing shows in some, noise in all. It is not more than drives make.
     """
-    out, squares, groups = np.zeros_like(likelihood.noise), model.rows ** 2, likelihood.groups
+    out, squares, groups = np.zeros_like(likelihood.noise), model.whitened ** 2, likelihood.groups
     for m in range(len(likelihood.motions)):
         mine = groups.recording == m
         unit = [np.zeros((len(one.time), out.shape[1])) for one in likelihood.motions]
@@ -58,7 +58,7 @@ def white_noise(likelihood, model) -> np.ndarray:
         for k in range(_DRAWS):
             rng = np.random.default_rng([likelihood.seed, 8, k, m])
             unit[m] = drawn_noise(likelihood, m, rng, 1.0)
-            response += likelihood.whitened.rows_of(unit)[mine] ** 2 / _DRAWS
+            response += likelihood.whitener.whiten(unit)[mine] ** 2 / _DRAWS
         for c in range(out.shape[1]):
             excess = []
             for octave in range(_OCTAVES_OF_NOISE):
@@ -78,9 +78,9 @@ def noise_response(likelihood) -> float:
     motion = likelihood.motions[0]
     white = np.random.default_rng([likelihood.seed, 8, 0]).standard_normal(
         (len(motion.samples.time), 2 * likelihood.robot.n_joints))
-    rows = likelihood.whitenings[0].torque_rows(np.concatenate(
+    torque = likelihood.whitenings[0].low_passed(np.concatenate(
         [motion.through_filter(side) for side in np.split(white, 2, axis=1)], axis=1))
-    return float(np.sqrt(np.mean(rows ** 2)))
+    return float(np.sqrt(np.mean(torque ** 2)))
 
 
 def noise_of(likelihood, model) -> tuple[Noise, ...]:
@@ -103,17 +103,17 @@ def noise_of(likelihood, model) -> tuple[Noise, ...]:
 
 def excess_torque(likelihood, model) -> np.ndarray:
     """Return what a model leaves in motion beyond null simulations, rms (2 n,) [N m]."""
-    left = likelihood.whitened.in_motion([one ** 2 for one in likelihood.torque(model)])
+    left = likelihood.whitener.in_motion([one ** 2 for one in likelihood.torque(model)])
     return np.sqrt(np.maximum(left - clean_torque(likelihood) ** 2, 0.0))
 
 
 def clean_torque(likelihood) -> np.ndarray:
     """Return what null simulations leave in motion, torque noise too, rms (2 n,) [N m]."""
-    whitened, seed = likelihood.whitened, likelihood.seed
-    squares = [[one ** 2 for one in whitened.behind_low_pass([
+    whitener, seed = likelihood.whitener, likelihood.seed
+    squares = [[one ** 2 for one in whitener.behind_low_pass([
         residual + drawn_noise(likelihood, m, np.random.default_rng([seed, 9, k, m]))
         for m, residual in enumerate(run)])] for k, run in enumerate(likelihood.null.clean[:2])]
-    return np.sqrt(whitened.in_motion([
+    return np.sqrt(whitener.in_motion([
         np.mean(one, axis=0) for one in zip(*squares, strict=True)]))
 
 

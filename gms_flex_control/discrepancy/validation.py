@@ -22,7 +22,7 @@ _DEGREES = 4.0        # of freedom of Student's distribution
 _ACTS = 0.02          # of what an effect changes at most in a block: with less it is not there
 _MEMORY = 0.08        # of earlier errors that the next is predicted from [s]
 _FEWEST, _MOST = 8, 60  # samples of it
-_LEAST = 4            # rows per number that is fitted: fewer decide nothing
+_LEAST = 4            # residuals per number that is fitted: fewer decide nothing
 _RIDGE = 1e-12        # of the mean square
 _LEAST_INERTIA = 1e-9  # of an equation [kg m^2]
 
@@ -40,20 +40,20 @@ class Gain(NamedTuple):
             self.blocks < FEW_BLOCKS or self.sigmas / caution > PLAUSIBLE)
 
 
-def predicted(likelihood, model, columns, plausible=PLAUSIBLE) -> np.ndarray:
+def predicted(likelihood, model, jacobian, plausible=PLAUSIBLE) -> np.ndarray:
     """Return the log likelihood of blocks, each predicted from the others, shape (B,)."""
     weight, added = likelihood.weights(model.sums.groups), likelihood.noise_added(model)
-    return sum(of_blocks(likelihood, left_out, model.rows + step @ columns, weight, added)
-               for left_out, step in steps(likelihood, model, columns, plausible))
+    return sum(of_blocks(likelihood, left_out, model.whitened + step @ jacobian, weight, added)
+               for left_out, step in steps(likelihood, model, jacobian, plausible))
 
 
-def of_blocks(likelihood, left_out, rows, weight, added=0.0) -> np.ndarray:
+def of_blocks(likelihood, left_out, whitened, weight, added=0.0) -> np.ndarray:
     """
-    Return the log likelihood of blocks (B,), of rows (R,) that are left out, so weighted.
+    Return the log likelihood of blocks (B,), of residuals (R,) that are left out, so weighted.
 
     To first order it is cleared of what encoder noise has ``added`` (R,) to squares.
     """
-    squares = rows ** 2 * weight / _DEGREES
+    squares = whitened ** 2 * weight / _DEGREES
     density = 0.5 * np.log(weight) - 0.5 * (_DEGREES + 1.0) * (
         np.log1p(squares) - added * weight / _DEGREES * (1.0 - squares) / (1.0 + squares) ** 2)
     return np.bincount(likelihood.groups.block[left_out], density[left_out],
@@ -61,15 +61,15 @@ def of_blocks(likelihood, left_out, rows, weight, added=0.0) -> np.ndarray:
 
 
 def folds(likelihood) -> Iterator[np.ndarray]:
-    """Yield which rows (R,) are left out of each fold, bool."""
+    """Yield which residuals (R,) are left out of each fold, bool."""
     for k in range(min(FOLDS, likelihood.groups.blocks)):
         yield likelihood.groups.block % FOLDS == k
 
 
-def steps(likelihood, model, columns, plausible=np.inf) -> Iterator[tuple]:
-    """Yield which rows (R,) are left out of each fold, and the step (C,) of a fit without."""
+def steps(likelihood, model, jacobian, plausible=np.inf) -> Iterator[tuple]:
+    """Yield which residuals (R,) are left out of each fold, and the step (C,) of a fit without."""
     parts = list(folds(likelihood))
-    yield from zip(parts, steps_without(likelihood, model, columns, numbers_of(
+    yield from zip(parts, steps_without(likelihood, model, jacobian, numbers_of(
         likelihood, model.robot), parts, plausible), strict=True)
 
 
@@ -99,7 +99,7 @@ def gain_of(likelihood, state, other, change, plausible=PLAUSIBLE) -> Gain:
 
 
 def gain_where(likelihood, gains, change) -> Gain:
-    """Return the Gain of log likelihoods (B,) where an effect acts, which changes rows (R,)."""
+    """Return the Gain of log likelihoods (B,) where an effect acts, a ``change`` (R,)."""
     size = np.bincount(likelihood.groups.block, change ** 2, minlength=likelihood.groups.blocks)
     return gain_over(gains, size > _ACTS * size.max())
 

@@ -78,7 +78,7 @@ class Whitening:
         self.scale[:, self._live] = used[:, None] * self._evening(spectra, white)
 
     def _evening(self, spectra, white):
-        """Return what makes rows even in time (S, L)."""
+        """Return what makes residuals even in time (S, L)."""
         square = np.mean([self._white(one) ** 2 for one in spectra], axis=0)
         of_floor = self._octaves.spread(self._both_sides(
             np.sum(np.abs(self._roots) ** 2 * white, axis=2)))
@@ -98,17 +98,17 @@ class Whitening:
         out[0] = spectrum[0].real
         return out
 
-    def rows_of(self, residual) -> np.ndarray:
-        """Return rows (S, C) of unit variance of residuals (T, C) [N m], see `row_time`."""
+    def whiten(self, residual) -> np.ndarray:
+        """Return residuals (T, C) [N m] as (S, C) of unit variance, at `row_time`."""
         used = np.flatnonzero(np.any(residual[:, self._live], axis=0))
         return self._even(self._band.spectra(residual[:, self._live[used]]), used)
 
-    def rows_of_spectra(self, spectra) -> np.ndarray:
-        """Return rows (S, C) of residuals by their spectra (F, C), of a `Band`."""
+    def whiten_spectra(self, spectra) -> np.ndarray:
+        """Return the same of residuals by their spectra (F, C), of a `Band`."""
         return self._even(spectra[:, self._live], slice(None))
 
     def _even(self, spectra, used):
-        """Return rows (S, C), of spectra of those equations alone that are not nothing."""
+        """Return the same, of spectra of those equations alone that are not nothing."""
         out = np.zeros(self.scale.shape)
         if spectra.size:
             out[:, self._live] = self._white(spectra, used)
@@ -116,24 +116,24 @@ class Whitening:
         return out
 
     def _white(self, spectra, used=slice(None)):
-        """Return rows (S, L) not yet even in time, of spectra (F, U) of equations ``used``."""
+        """Return what is not yet even in time (S, L), of spectra (F, U) of equations ``used``."""
         return self._in_time(np.einsum('fcd,fd->fc', self._roots[:, :, used], spectra))
 
     def _in_time(self, white):
         return self._octaves(self._both_sides(white)) * np.sqrt(self._rows)
 
-    def rows_of_each(self, torques, channel) -> np.ndarray:
-        """Return rows (S, C, K) of each of several torques (T, K) in one equation alone."""
+    def whiten_each(self, torques, channel) -> np.ndarray:
+        """Return several torques (T, K) in one equation alone, whitened (S, C, K)."""
         out = np.zeros((*self.scale.shape, torques.shape[1]))
         for at in np.flatnonzero(self._live == channel):
             white = self._roots[:, :, at, None] * self._band.spectra(torques)[:, None]
-            rows = self._in_time(white.reshape(len(white), -1))
-            out[:, self._live] = rows.reshape(len(rows), len(self._live), -1)
+            even = self._in_time(white.reshape(len(white), -1))
+            out[:, self._live] = even.reshape(len(even), len(self._live), -1)
         out *= self.scale[:, :, None]
         return out
 
-    def torque_rows(self, residual) -> np.ndarray:
-        """Return residuals (T, C) behind a low-pass alone, at the times of the rows [N m]."""
+    def low_passed(self, residual) -> np.ndarray:
+        """Return residuals (T, C) behind a low-pass alone, at `row_time` [N m]."""
         padded = np.zeros((self._bins + 1, residual.shape[1]), dtype=complex)
         padded[:-1] = self._band.spectra(residual)
         padded[round(TORQUE_BAND / HIGHEST * self._bins):] = 0.0
@@ -259,50 +259,50 @@ class Groups:
         """Return what values (R,) add up to in each group, shape (G,)."""
         return np.bincount(self.group, values, minlength=len(self.count))
 
-    def ordered(self, columns) -> np.ndarray:
-        """Return columns (C, R) group after group, as `products` take them."""
-        return columns[:, self._order]
+    def ordered(self, derivatives) -> np.ndarray:
+        """Return derivatives (C, R) group after group, as `products` take them."""
+        return derivatives[:, self._order]
 
     def products(self, one, other) -> np.ndarray:
-        """Return products by group (G, A, B) of columns (A, R) and (B, R), both `ordered`."""
+        """Return products by group (G, A, B) of derivatives (A, R) and (B, R), both `ordered`."""
         found = [one[:, a:b] @ other[:, a:b].T for a, b in zip(self._ends[:-1], self._ends[1:],
                                                                strict=True)]
         return np.reshape(found, (len(found), len(one), len(other)))
 
 
-class WhitenedRecordings:
+class Whitener:
     """Whitened residuals of several recordings, Motions with a Whitening each, as one vector."""
 
     def __init__(self, motions, whitenings):
         self.whitenings, self.groups = tuple(whitenings), Groups(motions, whitenings)
 
-    def rows_of(self, residuals) -> np.ndarray:
+    def whiten(self, residuals) -> np.ndarray:
         """Return the whitened residuals (R,) of torques (S, 2 n) along each recording."""
-        return self.joined(whitening.rows_of(residual) for whitening, residual in zip(
+        return self.joined(whitening.whiten(residual) for whitening, residual in zip(
             self.whitenings, residuals, strict=True))
 
-    def rows_of_spectra(self, spectra) -> np.ndarray:
+    def whiten_spectra(self, spectra) -> np.ndarray:
         """Return the whitened residuals (R,) of the spectra of torques of each recording."""
-        return self.joined(whitening.rows_of_spectra(one) for whitening, one in zip(
+        return self.joined(whitening.whiten_spectra(one) for whitening, one in zip(
             self.whitenings, spectra, strict=True))
 
-    def rows_of_each(self, torques, channel) -> np.ndarray:
+    def whiten_each(self, torques, channel) -> np.ndarray:
         """
         Return the whitened residuals (K, R) of each of several torques in one equation alone.
 
         ``torques`` (S, K) are along each recording.
         """
-        rows = [whitening.rows_of_each(one, channel).reshape(-1, one.shape[1])
-                for whitening, one in zip(self.whitenings, torques, strict=True)]
-        return np.ascontiguousarray(np.concatenate(rows)[self.groups.used].T)
+        parts = [whitening.whiten_each(one, channel).reshape(-1, one.shape[1])
+                 for whitening, one in zip(self.whitenings, torques, strict=True)]
+        return np.ascontiguousarray(np.concatenate(parts)[self.groups.used].T)
 
-    def joined(self, rows) -> np.ndarray:
-        """Return rows (S, 2 n) of each recording as one vector (R,)."""
-        return np.concatenate([one.ravel() for one in rows])[self.groups.used]
+    def joined(self, parts) -> np.ndarray:
+        """Return residuals (S, 2 n) of each recording as one vector (R,)."""
+        return np.concatenate([one.ravel() for one in parts])[self.groups.used]
 
     def behind_low_pass(self, residuals) -> list:
         """Return torques (S, 2 n) of each recording behind the low-pass, (S', 2 n) [N m]."""
-        return [whitening.torque_rows(one)
+        return [whitening.low_passed(one)
                 for whitening, one in zip(self.whitenings, residuals, strict=True)]
 
     def in_motion(self, squares) -> np.ndarray:
@@ -315,7 +315,7 @@ class WhitenedRecordings:
 
 
 class Grams:
-    """Products of columns at any weights of Groups, of which the ``fixed`` (C, R) never change."""
+    """Products of derivatives at any weights of Groups; the ``fixed`` (C, R) never change."""
 
     def __init__(self, groups, fixed):
         ordered = groups.ordered(fixed)
@@ -323,7 +323,7 @@ class Grams:
         self._products = groups.products(ordered, ordered)
 
     def weighted(self, further, weight) -> np.ndarray:
-        """Return products of fixed columns, then ``further`` (V, R), weights (G,) by group."""
+        """Return products of the fixed ones, then ``further`` (V, R), weights (G,) by group."""
         count = len(self.fixed)
         out = np.empty((count + len(further),) * 2)
         scaled = further * weight[self._group]

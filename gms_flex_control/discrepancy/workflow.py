@@ -114,7 +114,7 @@ def _compared(motions, holdout, robot, options, say):
     of_judged = found.best
     found, worths = predictive(likelihood, found, worths, held_out)
     if found.best is not of_judged:
-        free = functions.left_in(found.best.model, found.best.columns)
+        free = functions.left_in(found.best.model, found.best.jacobian)
     findings = findings_of(likelihood, found, worths, held_out)
     all_found = found.best
     gap = held_out.gap(found.before, all_found)
@@ -380,7 +380,7 @@ def _may_stand_in(likelihood, held_out, state, without, named):
 
 def _tried(found):
     """Return all hypotheses of the first scan: the best of them, then those fitted roughly."""
-    best = {one.key: one.gain for one in found.first}
+    best = {one.key: one.decrease for one in found.first}
     others = sorted((gain, key) for key, gain in found.scan.items() if key not in best)
     return (*(Tried(*key, gain, True) for key, gain in best.items()),
             *(Tried(*key, gain, False) for gain, key in reversed(others)))

@@ -24,7 +24,7 @@ class Worth(NamedTuple):
 
     index: int         # among the robot's effects
     torque: float      # rms of what it contributes [N m]
-    share: float       # of its rows that nothing else can make
+    share: float       # of what it changes that nothing else can make
     loss: float        # cost of its absence, known parameters no farther off than plausible
     evidence: float    # 2 log evidence that it adds
     outright: float    # likewise, known parameters no farther off than plausible without it
@@ -49,11 +49,11 @@ def plausible_limit(likelihood, model) -> np.ndarray:
 
 def _worth_of(likelihood, found, i, whole):
     """Return what the i-th effect is worth in a model that predicts blocks so well, (B,)."""
-    model, columns = found.best.model, found.best.columns
+    model, jacobian = found.best.model, found.best.jacobian
     spec = model.robot.effects[i]
     less = likelihood.fitted(fitting.without(model.robot, i), model.x)
-    others = fitting.columns_without(likelihood, model, columns, i)
-    change = less.rows - model.rows
+    others = fitting.jacobian_without(likelihood, model, jacobian, i)
+    change = less.whitened - model.whitened
     own, loss = _beside(likelihood, model, less, others, change)
     anything, limit = fitting.fit(likelihood, less.robot, model.x, others), plausible_limit(
         likelihood, model)
@@ -102,9 +102,9 @@ def _predicts(likelihood, found, spec, less):
 def pruned(likelihood, found) -> tuple:
     """Return the search's end with effects that data speak for alone, and their Worths, ranked."""
     while True:
-        model, columns = found.best.model, found.best.columns
+        model, jacobian = found.best.model, found.best.jacobian
         added = range(likelihood.known, len(model.robot.effects))
-        whole = predicted(likelihood, model, columns, plausible_limit(
+        whole = predicted(likelihood, model, jacobian, plausible_limit(
             likelihood, model)) if added else None
         worths = [_worth_of(likelihood, found, i, whole) for i in added]
         weak = [one for one in worths if not one.is_real(likelihood.caution)]
@@ -142,7 +142,7 @@ def timed(likelihood, found) -> Found:
     """
     Return the search's end with late effects exchanged where others predict better.
 
-    Lag and delay differ above the frequencies of the rows only.
+    Lag and delay differ above the frequencies of whitened residuals only.
     """
     for i in range(likelihood.known, len(found.best.model.robot.effects)):
         model = found.best.model
@@ -155,13 +155,13 @@ def timed(likelihood, found) -> Found:
             if (kind.whole_arm != late.whole_arm or not kind.of_feedback
                     or not may_join(other, fitting.without(model.robot, i), likelihood.known)):
                 continue
-            swapped, columns = fitting.refitted(likelihood, replace(
+            swapped, jacobian = fitting.refitted(likelihood, replace(
                 model.robot, effects=(*effects[:i], other, *effects[i + 1:])), model.x,
                 found.nuisances)
             own, instead = prediction_cost(likelihood, [
                 (one.robot, one.x) for one in (model, swapped)])
             if instead < own - EVIDENCE - 2.0 * np.log(found.hypotheses):
-                best = state_of(likelihood, swapped, columns, found.hypotheses)
+                best = state_of(likelihood, swapped, jacobian, found.hypotheses)
                 found = found._replace(best=best, tried=(best, *_tried_without(
                     likelihood, found, spec)))
                 break
