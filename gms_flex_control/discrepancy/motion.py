@@ -6,13 +6,7 @@ from functools import cached_property
 from typing import Any, Self
 
 from gms_flex_control import records
-from gms_flex_control.data.signal_analysis import (
-    held_triangle,
-    odd_window,
-    RATE_WINDOW,
-    second_difference,
-    SETTLED,
-)
+from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.discrepancy import samples as sampling
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects.base import Scales, Travel
@@ -67,13 +61,13 @@ class Motion:
 
     def through_filter(self, torque) -> np.ndarray:
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
-        return thinned(held_triangle(torque), self.factor)
+        return thinned(analysis.held_triangle(torque), self.factor)
 
     @cached_property
     def settled(self) -> np.ndarray:
         """Return which samples (S,) were read and are settled after smoothing, bool."""
-        middle = 0.5 * (self.time[0] + self.time[-1])
-        return self.known & (np.abs(self.time - middle) < 0.5 * np.ptp(self.time) - SETTLED)
+        middle, half = 0.5 * (self.time[0] + self.time[-1]), 0.5 * np.ptp(self.time)
+        return self.known & (np.abs(self.time - middle) < half - analysis.SETTLED)
 
     @cached_property
     def push(self) -> np.ndarray:
@@ -124,17 +118,17 @@ def make_motion(samples, factor=None) -> Motion:
     factor = factor or max(int(WORKING_PERIOD / period * (1.0 + 1e-6)), 1)
     thin = np.ascontiguousarray(samples.states[::factor])
     link, motor = samples.readings[:, 0], samples.readings[:, 1]
+    window = analysis.odd_window(analysis.RATE_WINDOW / period)
     torsion = thinned(filtered_alike(motor - link, 1.0 / 12.0), factor)
     return Motion(
         samples=samples, factor=factor, time=np.ascontiguousarray(samples.time[::factor]),
         period=period * factor, states=thin,
-        second=thinned(second_difference(samples.readings, period), factor),
-        drive=thinned(held_triangle(samples.command), factor),
+        second=thinned(analysis.second_difference(samples.readings, period), factor),
+        drive=thinned(analysis.held_triangle(samples.command), factor),
         torsion_rest=torsion - filtered_alike(
             thin[:, 3] - thin[:, 0], weight_of_neighbours(factor)),
         standing=standing(link, samples.noise[0], period)[::factor],
-        known=minimum_filter1d(
-            samples.known, odd_window(RATE_WINDOW / period) + 4 * factor)[::factor])
+        known=minimum_filter1d(samples.known, window + 4 * factor)[::factor])
 
 
 def at_full_rate(motion) -> Motion:

@@ -179,19 +179,8 @@ def as_recorded(run, motion, acted, robot) -> Motion:
     """
     Return a Motion with its torques as they would have been recorded.
 
-    Parameters
-    ----------
-    run : Motion
-        Under torques of ``acted`` and slow ones beside them.
-    motion, acted : Motion
-        A recording, and what `acting` makes of it.
-    robot : RobotParams
-        With its errors of recorded torques.
-
-    Returns
-    -------
-    Motion
-
+    ``run`` is under torques of ``acted``, which `acting` makes of the recorded ``motion``, and
+    slow ones beside them; the ``robot`` has its errors of recorded torques.
     """
     wrong = _misrecorded(robot)
 

@@ -13,13 +13,7 @@ from functools import cache, partial
 from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
-from gms_flex_control.data.signal_analysis import (
-    derivatives,
-    low_pass,
-    odd_window,
-    RATE_WINDOW,
-    second_difference,
-)
+from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.discrepancy.motion import filtered_alike, weight_of_neighbours
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import base as sig
@@ -195,14 +189,14 @@ def _with_unseen_links(motion, constants, drive):
         for link in motion.samples.unseen:
             j = link.joint
             begun = states[:, 0, j]
-            moved = low_pass(
+            moved = analysis.low_pass(
                 filtered_alike(begun, weight) + on_motor[:, j] / stiffness[:, j],
                 max(round(link.window / motion.factor), 2)) - begun
-            rates = derivatives(
-                moved, motion.period, odd_window(RATE_WINDOW / motion.period), (1, 2))
+            window = analysis.odd_window(analysis.RATE_WINDOW / motion.period)
+            rates = analysis.derivatives(moved, motion.period, window, (1, 2))
             for order, change in enumerate((moved, *rates)):
                 states[:, order, j] += change
-            second[:, 0, j] += second_difference(moved, motion.period)
+            second[:, 0, j] += analysis.second_difference(moved, motion.period)
             shift[:, j] = moved
     return states, second
 

@@ -75,24 +75,10 @@ def steps(likelihood, model, jacobian, plausible=np.inf) -> Iterator[tuple]:
 
 def gain_of(likelihood, state, other, change, plausible=PLAUSIBLE) -> Gain:
     """
-    Return the Gain of one model over another.
+    Return the Gain of one model over another, each a Fitted and its Jacobian (C, R).
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    state, other : (Fitted, ndarray of shape (C, R))
-        With an effect, and without it.
-    change : ndarray, shape (R,)
-        What the effect changes.
-    plausible : float or ndarray, shape (P,)
-        Standard deviations of their priors that nuisance parameters may go in both, or they
-        would stand for the effect.
-
-    Returns
-    -------
-    Gain
-
+    The first has an effect that makes a ``change`` (R,). Nuisance parameters may go so many
+    standard deviations in both as are ``plausible``, or they would stand for the effect.
     """
     return gain_where(likelihood, predicted(likelihood, *state, plausible)
                       - predicted(likelihood, *other, plausible), change)
@@ -128,19 +114,9 @@ def prediction_cost(likelihood, models) -> np.ndarray:
     loop closed or not (Ljung, System Identification, 2nd ed., 1999, section 13.4). How each error
     depends on earlier ones, of all joints as they move each other, is fitted with each model.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        With the recordings.
-    models : sequence of (RobotParams, ndarray)
-        Robots and their nuisance parameters (P,).
-
-    Returns
-    -------
-    ndarray, shape (M,)
-        Twice the negative logarithm of the likelihood of normal errors, but for a constant; all
-        zero where recordings are too short.
-
+    ``models`` are RobotParams and their nuisance parameters (P,). The cost (M,) is twice the
+    negative logarithm of the likelihood of normal errors, but for a constant; all zero where
+    recordings are too short.
     """
     n, costs = likelihood.robot.n_joints, np.zeros(len(models))
     for motion in likelihood.motions:

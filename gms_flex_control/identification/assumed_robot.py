@@ -14,13 +14,8 @@ import warnings
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
+from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import (
-    derivatives,
-    EFFECT_WINDOW,
-    means_to_next,
-    odd_window,
-)
 from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
@@ -240,8 +235,8 @@ def effects_along(robot: RobotParams, time, q_link, q_motor, torque, period: flo
         return out
     none = driving(0.0)
     if not effect_table.of_stages(robot, Stage.FRICTION):
-        return means_to_next(none), np.ones_like(torque)
-    return means_to_next(none), none - driving(1.0)  # affine in friction
+        return analysis.means_to_next(none), np.ones_like(torque)
+    return analysis.means_to_next(none), none - driving(1.0)  # affine in friction
 
 
 def _constants(robot, effects):
@@ -254,12 +249,12 @@ def _state(robot):
 
 def _motion(time, q_link, q_motor, period):
     """Return angle, rate and acceleration of links, then motors, shape (T, 6, n)."""
-    columns, window = [], odd_window(EFFECT_WINDOW / period)
+    columns, window = [], analysis.odd_window(analysis.EFFECT_WINDOW / period)
     for link, motor in zip(q_link.T, q_motor.T, strict=True):
         for angle in (link, motor if np.isfinite(motor).any() else link):
             known = np.isfinite(angle)
             angle = np.interp(time, time[known], angle[known])  # as read: the torsion is of these
-            _, rate, acceleration = derivatives(angle, period, window)
+            _, rate, acceleration = analysis.derivatives(angle, period, window)
             columns += [angle, rate, acceleration]
     return np.stack(columns, 1).reshape(len(time), -1, 6).swapaxes(1, 2).copy()
 

@@ -21,13 +21,7 @@ from collections.abc import Callable, Generator, Sequence
 from functools import partial
 from typing import NamedTuple
 
-from gms_flex_control.data.signal_analysis import (
-    BLOCK_TIME,
-    derivative_window,
-    means_to_next,
-    smoothed,
-    standing_out,
-)
+from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.effects.catalogue.drive import TorqueRipple
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.outcome import CONFIDENT
@@ -123,10 +117,11 @@ def filtered(recordings: Sequence, signals_of: Callable, wider: int = 1) -> Gene
     used = 0
     for recording in recordings:
         angles, others = signals_of(recording)
-        window = wider * max(derivative_window(recording.time, angle) for angle in angles)
-        time, *signals = smoothed(recording.time, [recording.time, *angles, *others], window)
+        window = wider * max(analysis.derivative_window(recording.time, angle) for angle in angles)
+        time, *signals = analysis.smoothed(
+            recording.time, [recording.time, *angles, *others], window)
         if len(time.value):
-            block = used + ((time.value - time.value[0]) / BLOCK_TIME).astype(int)
+            block = used + ((time.value - time.value[0]) / analysis.BLOCK_TIME).astype(int)
             used = block[-1] + 1
             yield signals, block
 
@@ -176,7 +171,7 @@ def _any_inertia(rows, turns):
 def held_torque(joint: int) -> Callable:
     """Return a function Recording -> motor torque (T,) at the stamps, not over a sample."""
     # one is of the sample that ended there
-    return lambda recording: means_to_next(recording.tau_motor[:, joint])
+    return lambda recording: analysis.means_to_next(recording.tau_motor[:, joint])
 
 
 def spring_torque(joint: int, stiffness: float, damping=0.0) -> Callable:
@@ -359,8 +354,8 @@ def fit_axis_with_ripple(recordings: Sequence, rows: AxisSamples, joint: int, na
                          source: str, turns: bool = True) -> tuple:
     """Return `fit_axis` with its largest Ripple, and that, None where none helps held-out data."""
     axis, span = fit_axis(rows, name, source, turns=turns), float(np.ptp(rows.angle))
-    orders = standing_out([rows.angle], [axis.left], [rows.rate],
-                          2.0 * np.pi * FEWEST_WAVES / max(span, 1e-300))
+    orders = analysis.standing_out([rows.angle], [axis.left], [rows.rate],
+                                   2.0 * np.pi * FEWEST_WAVES / max(span, 1e-300))
     if not orders:
         return axis, None
     found, order = axis, orders[0]
@@ -394,7 +389,8 @@ def _waves_of(recordings, joint, wider, order):
     parts = []
     for recording in recordings:
         angle = recording.q_link[:, joint]
-        signals = smoothed(recording.time, [np.sin(order * angle), np.cos(order * angle)],
-                           wider * derivative_window(recording.time, angle))
+        signals = analysis.smoothed(
+            recording.time, [np.sin(order * angle), np.cos(order * angle)],
+            wider * analysis.derivative_window(recording.time, angle))
         parts.append(np.stack([signal.value for signal in signals], axis=1))
     return np.concatenate(parts)
