@@ -245,7 +245,7 @@ class YamlMap:
         """Return the keys in order (list of str)."""
         for key in self._data:
             if not isinstance(key, str):
-                raise self.wrong('is no text; put it in quotes', str(key))
+                raise self.wrong('is not text; put it in quotes', str(key))
         return [str(key) for key in self._data]
 
     def line(self, key=None) -> int:
@@ -263,7 +263,7 @@ class YamlMap:
         """Refuse keys other than ``known``."""
         for key in self._data:
             if key not in known:
-                raise self.wrong(f'is no key here{did_you_mean(key, known)}', str(key))
+                raise self.wrong(f'is not a key here{did_you_mean(key, known)}', str(key))
 
     def section(self, key, required=False, example='') -> Self | None:
         """Return a nested mapping, such as ``example``; None if it is not there."""

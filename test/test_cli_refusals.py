@@ -33,8 +33,8 @@ WRONG = {
     'view': '{missing}', 'effects': 'backlsh', 'export': '--to mujoco --robot {missing}'}
 # further options that cannot be meant, and what is said of them
 OPTIONS = [
-    ('view live --namespace a.b', "--namespace: '/a.b/plant' is no full name of a node"),
-    ('view live --controller arm', "--controller: 'arm' is no full name of a node"),
+    ('view live --namespace a.b', "--namespace: '/a.b/plant' is not the full name of a node"),
+    ('view live --controller arm', "--controller: 'arm' is not the full name of a node"),
     ('view live bag', 'only bags are drawn over each other'),
     ('view live --robot {robot}', '--robot: the running controller says it; leave it out'),
     ('view live --joints a b', '--joints: the running controller says it'),
@@ -47,7 +47,7 @@ OPTIONS = [
     ('tune --out {bag}', '--out {bag}: is a bag'),
     ('urdf --ros2-control=', "--ros2-control '': give one word, such as my_hardware/MySystem"),
     ('urdf --name=', "--name '': give one word, such as arm"),
-    ('info /dev/null', '/dev/null: is no bag file (expected .mcap or .db3'),
+    ('info /dev/null', '/dev/null: is not a bag file (expected .mcap or .db3'),
     ('info {packed}', '{packed}: cannot be unpacked ('),
     ('urdf --limits {robot}', 'no limits.<joint> is in it'),
     ('urdf --out {file}/arm.urdf', '{file}/arm.urdf: {file} is a file; name a folder'),

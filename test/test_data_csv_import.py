@@ -195,7 +195,7 @@ def test_disordered_time_is_refused_or_dropped_as_asked(load):
 
 
 @pytest.mark.parametrize(('edit', 'match'), [
-    (change_line(5, '0.012,abc'), r"log.csv:5: column 'q' holds 'abc', which is no number"),
+    (change_line(5, '0.012,abc'), r"log.csv:5: column 'q' holds 'abc', which is not a number"),
     (change_line(5, '0.012;0.3'), r'log.csv:5: has 1 cells where there are 2 columns'),
     (change_line(1001, '3.9'), r'log.csv:1001: .*the file seems cut off'),
     (change_line(5, '0.012,0.3,4'), r'log.csv:5: has 3 cells'),

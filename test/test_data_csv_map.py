@@ -35,7 +35,7 @@ def test_shipped_maps_load(path):
 
 
 @pytest.mark.parametrize(('old', 'new', 'line', 'match'), [
-    ('column: q', 'colum: q', 5, "colum is no key here; did you mean 'column'"),
+    ('column: q', 'colum: q', 5, "colum is not a key here; did you mean 'column'"),
     ('link_position', 'link_positon', 5, "did you mean 'link_position'"),
     ('unit: deg', 'unit: degr', 5, "unit 'degr' is not usable here; did you mean 'deg'"),
     ('unit: deg', 'unit: rpm', 5, r'not usable here.*one of rad, mrad, deg'),
@@ -75,7 +75,7 @@ def test_shipped_maps_load(path):
     ('time:', 'resample: fast\ntime:', 1, 'must be a number'),
     ('torque:', 'link_position:', 7, 'not valid YAML'),
     ('motor: m1', 'motor: [m1', 5, 'not valid YAML'),
-    ('j1:', '1:', 2, 'joints.1 is no text; put it in quotes')])
+    ('j1:', '1:', 2, 'joints.1 is not text; put it in quotes')])
 def test_a_mistake_in_a_map_is_named_with_its_line(tmp_path, old, new, line, match):
     path = tmp_path / 'map.yaml'
     assert old in GOOD

@@ -98,7 +98,7 @@ def test_flipped_bits_never_change_data_and_never_lose_any_in_silence(tmp_path, 
         try:
             found, bag = contents(file)
         except BagError as error:
-            assert 'is no mcap file' in str(error)
+            assert 'is not an mcap file' in str(error)
             continue
         assert is_part_of(found, original), place
         assert len(found) == len(original) or bag.damage or bag.notes, place
@@ -184,7 +184,7 @@ def test_a_bag_is_read_without_broken_metadata(tmp_path, text):
     write_bag(tmp_path / 'bag')
     (tmp_path / 'bag' / 'metadata.yaml').write_text(text)
     found, bag = contents(tmp_path / 'bag')
-    assert len(found) == 400 and 'is no metadata of a bag' in bag.notes[0]
+    assert len(found) == 400 and 'is not the metadata of a bag' in bag.notes[0]
 
 
 def test_a_missing_part_of_a_bag_is_damage(tmp_path):

@@ -348,8 +348,8 @@ def test_what_is_no_recording_is_refused_with_a_sentence(tmp_path, case, sentenc
 
 @pytest.mark.parametrize('make, sentence', [
     (lambda p: None, 'there is no such bag; give the folder that ros2 bag or gms_flex record'),
-    (lambda p: p.mkdir(), 'holds no .mcap or .db3 file; it is no bag'),
-    (lambda p: p.write_text('x'), 'is no bag file (expected .mcap or .db3, also with .zstd)'),
+    (lambda p: p.mkdir(), 'holds no .mcap or .db3 file; it is not a bag'),
+    (lambda p: p.write_text('x'), 'is not a bag file (expected .mcap or .db3, also with .zstd)'),
 ])
 def test_what_is_no_bag_is_refused_with_a_sentence(tmp_path, make, sentence):
     make(tmp_path / 'bag')

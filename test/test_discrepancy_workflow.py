@@ -172,7 +172,7 @@ def test_a_hole_in_an_angle_is_left_out():
     hidden, = case.truth.effects
     assert [one.effect for one in result.findings] == [hidden.name], result.words
     assert result.findings[0].values[0].value == pytest.approx(hidden.values[0], rel=0.02)
-    assert 'is no number in 200 samples' in result.words
+    assert 'is not a number in 200 samples' in result.words
 
 
 def test_an_answer_says_where_errors_are_noise_without_the_effects_as_well(named, tmp_path):

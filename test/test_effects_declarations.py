@@ -134,7 +134,7 @@ def test_the_search_looks_for_an_effect_of_another_package(offered):
     ('backlash', 'has the name of one of the catalogue; rename it'),
     ('cable', "calls itself 'cable_drag'; both names must agree"),
     ('torn', "cannot be loaded (ModuleNotFoundError: No module named 'no_such_package'); mend or"),
-    ('number', 'is no subclass of gms_flex_control.effects.base.Term or Change')])
+    ('number', 'is not a subclass of gms_flex_control.effects.base.Term or Change')])
 def test_what_is_no_effect_is_refused_in_one_sentence(offered, name, why):
     with pytest.raises(ParameterError) as refused:
         registry.find(name)

@@ -97,7 +97,7 @@ def test_a_device_is_found_by_its_entry_point_with_its_options(offered):
 
 @pytest.mark.parametrize('name, options, words', [
     ('silnet', [], "no package offers 'silnet'.*did you mean 'silent'"),
-    ('text', [], 'is no subclass of gms_flex_control.hardware.device.Device'),
+    ('text', [], 'is not a subclass of gms_flex_control.hardware.device.Device'),
     ('gone', [], "'gone' cannot be loaded"),
     ('silent', ['baud'], "'baud' must have the form name=value"),
     ('serial_arm:SerialArm', ['port=/dev/null'], 'takes port=<path> and names='),

@@ -163,7 +163,7 @@ def test_a_load_is_a_body_in_the_frame_at_the_end_of_the_arm(tmp_path):
 
 
 @pytest.mark.parametrize(('text', 'sentence'), [
-    ('laod: {mass: 1}', "laod is no key here; did you mean 'load'"),
+    ('laod: {mass: 1}', "laod is not a key here; did you mean 'load'"),
     ('load: {mass: -1}', 'load.mass is -1 kg'),
     ('load: {mass: heavy}', "load.mass must be a number, got 'heavy'"),
     ('load: {mass: 1, com: [1, 2]}', 'load.com must be 3 numbers'),
@@ -171,7 +171,7 @@ def test_a_load_is_a_body_in_the_frame_at_the_end_of_the_arm(tmp_path):
     ('load: {com: [0, 0, 0]}', "load lacks 'mass'"),
     ('torque_constant: 3', 'must be a mapping such as {joint1: 12.4, joint2: unknown}, got 3'),
     ('torque_constant: {joint1: 0}', 'needs a value other than 0'),
-    ('torque_constant: {joint1: {vlaue: 3}}', 'torque_constant.joint1.vlaue is no key here'),
+    ('torque_constant: {joint1: {vlaue: 3}}', 'torque_constant.joint1.vlaue is not a key here'),
     ('coupling: {joint6: joint5}', 'coupling.joint6 must be a mapping such as {joint5: 1.0}'),
     ('coupling: {joint6: {joint5: one}}', 'coupling.joint6.joint5 must be a number'),
     ('load: [', 'is not valid YAML')])

@@ -137,7 +137,7 @@ def test_a_gain_changes_and_a_whole_number_is_taken_for_a_double(loop):
     (CONTROLLER, 'gains__joint1__kd_lnk', 1.0, "did you mean 'gains.joint1.kd_link'?"),
     (CONTROLLER, 'gains__joint9__kd_link', 1.0, "unknown joint 'joint9'"),
     (CONTROLLER, 'effects__joint1__backlsh__half_gap', 1.0, "did you mean 'backlash'?"),
-    (CONTROLLER, 'trajectory__type', 'hold', 'is no parameter of /cascade_controller'),
+    (CONTROLLER, 'trajectory__type', 'hold', 'is not a parameter of /cascade_controller'),
     (CONTROLLER, 'arm__joint1__mass', None, 'read-only'),
     (PLANT, 'rate', 100.0, 'start it anew with -p rate:=100.0'),
     (TRAJECTORY, 'trajectory__type', 'sinus', "did you mean 'sinusoid'"),

@@ -62,7 +62,7 @@ def _view(args):
         controller = args.controller or f'{space}/cascade_controller'
         for option, name in (('namespace', f'{space}/plant'), ('controller', controller)):
             if not re.fullmatch(r'(/[A-Za-z_]\w*)+', name, re.ASCII):
-                raise ConfigError(f'--{option}: {name!r} is no full name of a node')
+                raise ConfigError(f'--{option}: {name!r} is not the full name of a node')
         return live_view(space, controller)
     say(f'reading {", ".join(args.what)}')
     return nullcontext(open_bag(

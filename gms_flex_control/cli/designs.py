@@ -129,7 +129,7 @@ def _task(report, args):
     if args.with_ros and args.simulate:
         raise ConfigError('--run and --simulate exclude each other: a robot is real or simulated')
     if args.weight and robot.arm.kind == 'decoupled':
-        raise ConfigError('--weight: decoupled axes have no tip to hang it at')
+        raise ConfigError('--weight: decoupled axes have no tip to hang it from')
     if args.weight and args.with_ros and not sys.stdin.isatty():
         raise ConfigError('--weight with --run needs a person at a terminal, to hang it')
     sets = sets_of(args.effects, robot) if args.effects else planning.surviving(report)

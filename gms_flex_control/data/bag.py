@@ -35,7 +35,8 @@ class SqliteFile(StorageFile):
             raise BagError(f'{self._original}: cannot be read ({error.strerror})') from error
         if head != _HEADER:
             raise BagError(f'{self._original}: is empty (0 bytes)' if not head else
-                           f'{self._original}: is no sqlite3 file (begins with {head.hex(" ")})')
+                           f'{self._original}: is not an sqlite3 file (begins with '
+                           f'{head.hex(" ")})')
         with tempfile.TemporaryDirectory() as folder:
             location = self._settled(Path(folder))
             try:
@@ -74,7 +75,7 @@ class SqliteFile(StorageFile):
                 if topic in names and isinstance(data, bytes) and len(data) >= 4
                 and isinstance(time, int) and time >= 0]
         if len(good) < len(rows):
-            self.damage.append(f'{self.label}: {len(rows) - len(good)} rows are no messages')
+            self.damage.append(f'{self.label}: {len(rows) - len(good)} rows are not messages')
         self.found += len(good)
         return good if self._only is None else [row for row in good if row[0] in self._only]
 
@@ -112,7 +113,7 @@ class Bag:
                            'ros2 bag or gms_flex record made')
         if not self.path.is_dir():
             if not self.path.is_file() or _storage_suffix(self.path) is None:
-                raise BagError(f'{self.path}: is no bag file (expected .mcap or .db3, '
+                raise BagError(f'{self.path}: is not a bag file (expected .mcap or .db3, '
                                'also with .zstd)')
             return [self.path]
         present = sorted((path for path in self.path.iterdir()
@@ -130,7 +131,7 @@ class Bag:
             files = [self.path / Path(name).name for name in self.metadata.files]
             files += [path for path in present if path not in files]
         if not files:
-            raise BagError(f'{self.path}: holds no .mcap or .db3 file; it is no bag')
+            raise BagError(f'{self.path}: holds no .mcap or .db3 file; it is not a bag')
         self.damage += [f'{self.path.name}: {path.name} is missing'
                         for path in files if not path.is_file()]
         return [path for path in files if path.is_file()]

@@ -181,7 +181,7 @@ def _load(node):
     try:
         require_body('the load', mass, inertia)
     except ParameterError as error:
-        raise node.wrong(f'is no body: {error}', 'inertia') from error
+        raise node.wrong(f'is not a body: {error}', 'inertia') from error
     return Body(float(mass), com, inertia)
 
 

@@ -94,10 +94,10 @@ class CsvTable:
         elif ':' in text:
             hint = '; give a time of day as seconds since the start'
         elif row == 0:
-            hint = ('; if this line is no data, set file.header_rows: '
+            hint = ('; if this line is not data, set file.header_rows: '
                     f'{self._form.header_rows + 1}')
         raise ImportDataError(f'{self.path}:{self.lines[row]}: column {self.names[index]!r} '
-                              f'holds {text[:40]!r}, which is no number{hint}')
+                              f'holds {text[:40]!r}, which is not a number{hint}')
 
     def _rows(self):
         """Yield (line, cells) of every line that is neither blank nor a comment."""
@@ -112,7 +112,7 @@ class CsvTable:
         if not text:
             raise ImportDataError(f'{self.path}: is empty (0 bytes); export the log again')
         if '\0' in text:
-            raise ImportDataError(f'{self.path}: holds NUL bytes, so it is no text table; '
+            raise ImportDataError(f'{self.path}: holds NUL bytes, so it is not a text table; '
                                   'export it as CSV')
         comment, blank = self._form.comment, self._form.delimiter == ' '
         lines = text.splitlines(keepends=True)

@@ -137,7 +137,7 @@ def load_map(path) -> ImportMap:
         if not Path(path).is_file() or (Path(path).suffix in ('.yaml', '.yml')
                                         and 'must be a mapping' not in str(error)):
             raise
-        raise ImportDataError(f'{error}: it is no import map; were file and --map exchanged?'
+        raise ImportDataError(f'{error}: it is not an import map; were file and --map exchanged?'
                               ) from error
     if not top.keys():
         raise top.wrong('must be a mapping with time and joints')

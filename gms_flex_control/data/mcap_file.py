@@ -87,7 +87,7 @@ class McapFile(StorageFile):
                     raise BagError(f'{self._original}: is empty (0 bytes)')
                 with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
                     if data[:len(_MAGIC)] != _MAGIC[:len(data)]:
-                        raise BagError(f'{self._original}: is no mcap file (begins with '
+                        raise BagError(f'{self._original}: is not an mcap file (begins with '
                                        f'{data[:len(_MAGIC)].hex(" ")})')
                     self._read_topics(stream)
                     yield from self._scan(data)

@@ -38,8 +38,8 @@ def definition(type_name) -> Definition:
         text, _ = store.generate_msgdef(type_name, ros_version=2)
         return Definition(text, store.hash_rihs01(type_name))
     except (TypesysError, KeyError) as error:
-        raise BagError(f'message type {type_name!r} is no standard one of Jazzy ({error}); leave '
-                       "its topic out, or record it with 'ros2 bag record'") from error
+        raise BagError(f'message type {type_name!r} is not a standard type of Jazzy ({error}); '
+                       "leave its topic out, or record it with 'ros2 bag record'") from error
 
 
 LARGEST = 10_000_000  # bytes; a thousand topics take some hundred thousand
@@ -95,7 +95,7 @@ class FolderMetadata(NamedTuple):
 
 
 def load(path) -> FolderMetadata:
-    """Return the FolderMetadata in a metadata.yaml; BagError if it is no metadata of a bag."""
+    """Return the FolderMetadata in a metadata.yaml; BagError if it is of no bag."""
     try:
         info = read_yaml(path, 'safe', LARGEST)['rosbag2_bagfile_information']
         return FolderMetadata(tuple(str(name) for name in info['relative_file_paths']),
@@ -104,7 +104,7 @@ def load(path) -> FolderMetadata:
     except (OSError, UnicodeDecodeError, YAMLError, KeyError, TypeError, ValueError,
             AttributeError) as error:
         reason = ' '.join(str(error).split())[:120]
-        raise BagError(f'{path}: is no metadata of a bag ({type(error).__name__}: {reason}); '
+        raise BagError(f'{path}: is not the metadata of a bag ({type(error).__name__}: {reason}); '
                        "the bag's files are read without it") from error
 
 

@@ -51,7 +51,7 @@ class BagWriter:
     def __enter__(self):
         """Make the folder and begin its first file; raise BagError where that cannot be."""
         if not self._final.name:
-            raise BagError(f'{self.path}: is no name for a bag; give a new folder')
+            raise BagError(f'{self.path}: cannot be the name of a bag; give a new folder')
         refuse_existing(self.path)
         try:
             make_folder(self._final.parent, self.path)

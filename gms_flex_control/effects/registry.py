@@ -71,7 +71,7 @@ def _loaded(entry):
         raise ParameterError(f'{where} cannot be loaded ({type(error).__name__}: {error}); '
                              'mend or uninstall that package') from error
     if not (isinstance(kind, type) and issubclass(kind, (Term, Change))):
-        raise ParameterError(f'{where} is no subclass of {Term.__module__}.Term or Change')
+        raise ParameterError(f'{where} is not a subclass of {Term.__module__}.Term or Change')
     if kind.name != entry.name:
         raise ParameterError(f'{where} calls itself {kind.name!r}; both names must agree')
     return kind

@@ -91,6 +91,6 @@ def find(name, options, order) -> Device:
     except (ImportError, AttributeError) as error:
         raise ConfigError(f'bridge.device: {name!r} cannot be loaded ({error})') from error
     if not (isinstance(kind, type) and issubclass(kind, Device)):
-        raise ConfigError(f'bridge.device: {name!r} is no subclass of '
+        raise ConfigError(f'bridge.device: {name!r} is not a subclass of '
                           f'{Device.__module__}.Device')
     return kind(dict(entry.split('=', 1) for entry in options), order)

@@ -114,7 +114,7 @@ def _holes(signals, joint, name, values, needed):
             '; what it alone shows is lost: record it as well'))
     elif share >= limits.MISSING_WARN or lost.size > limits.MISSING_MOST:
         severity = 'refuse' if share > limits.MISSING_REFUSE else 'warn'
-        text = (f'the {name} of {joint} is no number in {lost.size} samples '
+        text = (f'the {name} of {joint} is not a number in {lost.size} samples '
                 f'({100 * share:.2g} %), {np.diff(analysis.runs(~np.isfinite(values))).max()} in '
                 f'a row, first at {signals.time[lost[0]]:.3f} s; leave that part out')
     else:

@@ -110,8 +110,8 @@ class ConfiguredNode(Node):
             known_keys([name], self.get_parameter('joints').value)
         except GmsFlexError as error:
             return str(error)
-        return (f'{name} is no parameter of {self.get_fully_qualified_name()}, or was not given '
-                'when it started')
+        return (f'{name} is not a parameter of {self.get_fully_qualified_name()}, or was not '
+                'given when it started')
 
 
 def _resolved(resolve, name, only_expand):
@@ -119,7 +119,7 @@ def _resolved(resolve, name, only_expand):
         return resolve(name, only_expand=only_expand)
     except (RuntimeError, ValueError) as error:  # of rcl, without the name
         reason = str(error).rsplit(': ', 1)[-1].split(', at /')[0]
-        raise ConfigError(f'{name!r} is no name of a topic or service: {reason}') from error
+        raise ConfigError(f'{name!r} is not the name of a topic or service: {reason}') from error
 
 
 def _plain(value):

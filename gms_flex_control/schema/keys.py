@@ -141,7 +141,7 @@ _EXPERIMENT = (
     Key('break_away_repeats', 'per direction', '', 3, 1, 1000),
     Key('break_away_travel', 'this far moved is broken away', 'rad', 0.03, 1e-5, 10.0),
     Key('presliding_levels', 'amplitudes, in F_s', '', (0.3, 0.5, 0.65, 0.8), 0.01, 0.99),
-    Key('presliding_travel', 'this far moved is no presliding any more: the step ends', 'rad',
+    Key('presliding_travel', 'so far a motion is no longer presliding: the step ends', 'rad',
         0.05, 1e-5, 10.0),
     Key('presliding_places', 'at which each amplitude is applied, a shift apart', '', 3, 1, 1000),
     Key('presliding_cycles', 'at each place', '', 1, 1, 1000),

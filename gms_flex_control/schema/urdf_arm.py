@@ -91,7 +91,7 @@ def _root_of(path):
         raise ConfigError(f'has xacro that is not expanded; expand it with: xacro {path.name} > '
                           f"{path.name.partition('.')[0]}_expanded.urdf")
     if root.tag != 'robot':
-        raise ConfigError(f'is no URDF: its root is <{root.tag}>, not <robot>')
+        raise ConfigError(f'is not a URDF: its root is <{root.tag}>, not <robot>')
     return root
 
 
