@@ -96,10 +96,10 @@ class IdentificationResult(Result, Identification):
         return pictures.map_figure(next(one for one in self.joints if one.joint == joint))
 
     def _rows(self) -> list[dict[str, Any]]:
-        return [{'joint': joint.joint, 'parameter': one.name, 'unit': one.unit,
+        return [{'joint': result.joint, 'parameter': one.name, 'unit': one.unit,
                  'value': one.value, 'low': one.interval.low, 'high': one.interval.high,
                  'flags': ', '.join(one.flags)}
-                for joint in self.joints for one in joint.estimates]
+                for result in self.joints_and_others for one in result.estimates]
 
 
 class DiscrepancyResult(Result, Discrepancy):

@@ -7,7 +7,9 @@ import json
 import re
 import warnings
 
-from gms_flex_control.identification.outcome import FrictionMap, Interval
+from gms_flex_control.design.determination import missing_of
+from gms_flex_control.identification.outcome import estimated, FrictionMap, Interval, OtherJoints
+from gms_flex_control.identification.output import report_json
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.pictures import loops_figure, map_figure
 from gms_flex_control.reports.recordings_page import write_identification_report
@@ -94,6 +96,18 @@ def test_a_joint_that_shows_little_is_reported_all_the_same(tmp_path):
     assert 'nan' not in html.lower().replace('nanmax', '')
     text = identification_text(made)
     assert 'The joint hardly moves.' in text and 'nan' not in text
+
+
+def test_a_joint_that_did_not_move_is_reported_apart_and_determined_by_the_next_motion(tmp_path):
+    open_one = estimated('arm.joint3.motor_inertia', 'kg m^2', 0.2, note='hardly moves it',
+                         known=False)
+    made = replace(identification(1), others=OtherJoints((open_one,)))
+    name = 'arm.joint3.motor_inertia'
+    assert name in written(made, tmp_path)[1] and name in identification_text(made)
+    report = report_json(made)
+    assert name not in {one['name'] for one in report['joints'][0]['estimates']}
+    assert [one['name'] for one in report['others']] == [name]
+    assert ('motor_inertia', 'joint3') in missing_of(report)
 
 
 def test_names_neither_leave_the_folder_nor_collide_nor_break_the_page(tmp_path):

@@ -112,12 +112,14 @@ def in_words(missing: str) -> str:
 def missing_of(report: Mapping) -> list[tuple[str, str]]:
     """Return (kind, joint) that a report.json of ``identify`` calls not identified."""
     found = {}
-    for joint in report['joints']:
-        for one in joint['estimates']:
-            part, *_, last = one['name'].split('.')
-            if one['standing'] in _OPEN:
-                found |= {(name, joint['joint']): None for name, kind in UNCERTAIN.items()
-                          if kind.is_left_open(part, last.partition('[')[0])}
+    estimates = [(one, joint['joint']) for joint in report['joints']
+                 for one in joint['estimates']]
+    estimates += [(one, one['name'].split('.')[1]) for one in report.get('others', ())]
+    for one, joint in estimates:
+        part, *_, last = one['name'].split('.')
+        if one['standing'] in _OPEN:
+            found |= {(name, joint): None for name, kind in UNCERTAIN.items()
+                      if kind.is_left_open(part, last.partition('[')[0])}
     return list(found)
 
 

@@ -93,12 +93,12 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         if words := problem.words():
             warnings.warn(words, stacklevel=2)
         say('intervals and errors on data held out')
-        joints, arm = problem.results(fits)
+        joints, others, arm = problem.results(fits)
     described = replace(arm, uncertainty=robot.uncertainty) if whole else robot
     return Identification(
         robot=problem.with_friction(replace(described, identified_from=identities), fits),
         believed=robot,
-        joints=joints, sources=tuple(one.source for one, _ in recordings),
+        joints=joints, others=others, sources=tuple(one.source for one, _ in recordings),
         holdouts=tuple(one.source for one, _ in holdouts),
         duration=float(sum(one.time[-1] - one.time[0] for one, _ in recordings)),
         period=problem.bundle.period,

@@ -132,6 +132,13 @@ class JointResult:
     warnings: tuple              # sentences
 
 
+class OtherJoints(NamedTuple):
+    """What is known of joints whose friction was not fitted, as where they did not move."""
+
+    estimates: tuple = ()  # of Estimate
+    joint: str = 'other joints'
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identification:
     """Outcome of `gms_flex identify`."""
@@ -139,6 +146,7 @@ class Identification:
     robot: RobotParams    # with what was identified
     believed: RobotParams  # as it was described
     joints: tuple         # of JointResult, in the robot's order
+    others: OtherJoints = OtherJoints()
     sources: tuple        # recordings used
     holdouts: tuple       # recordings set aside whole; empty where blocks of time were held out
     duration: float       # of all data [s]
@@ -152,6 +160,11 @@ class Identification:
     loads: dict = field(default_factory=dict)  # number of a source to the Body found in it
     spread: np.ndarray | None = None  # (3, n), of `nearest_arm`: how well links are known that
     #                       carry each other, whose numbers the data determine together only
+
+    @property
+    def joints_and_others(self) -> tuple:
+        """Return what has estimates: each JointResult, and OtherJoints if there are any."""
+        return (*self.joints, *([self.others] if self.others.estimates else []))
 
     def in_units(self, text: str) -> str:
         """Return a text that is written for torques of rotary axes, in the units of this robot."""
@@ -257,8 +270,8 @@ def _floor(errors):
     return f'{text[0].upper()}{text[1:]}.'
 
 
-def notes(result: JointResult) -> list:
-    """Return the notes on estimates of a JointResult as sentences, those alike as one."""
+def notes(result: JointResult | OtherJoints) -> list:
+    """Return the notes on estimates as sentences, those alike as one."""
     about = {}
     for estimate in result.estimates:
         if estimate.note:

@@ -29,17 +29,22 @@ def report_json(identification: outcome.Identification) -> dict:
         'duration': identification.duration,
         'period': identification.period, 'seconds': identification.seconds,
         'warnings': plain(identification.warnings, words),
-        'joints': [plain(_joint(result), words) for result in identification.joints]})
+        'joints': [plain(_joint(result), words) for result in identification.joints],
+        'others': plain(_estimates(identification.others), words)})
 
 
 def _joint(result):
     return {
         'joint': result.joint, 'side': result.side,
         'summary': [text for text, _ in outcome.joint_sentences(result)],
-        'estimates': [estimate._asdict() | {'standing': outcome.standing(estimate)}
-                      for estimate in result.estimates],
+        'estimates': _estimates(result),
         'candidates': [candidate._asdict() for candidate in result.candidates],
         'held_out': result.held_out._asdict(), 'warnings': result.warnings}
+
+
+def _estimates(result):
+    return [estimate._asdict() | {'standing': outcome.standing(estimate)}
+            for estimate in result.estimates]
 
 
 def condition_files(identification: outcome.Identification, folder) -> dict:
@@ -180,10 +185,11 @@ def _comment(identification):
              'Load it after the robot file: [robot.yaml, friction.yaml].',
              f'{outcome.data_sentence(identification)}.',
              *identification.warnings]
-    for result in identification.joints:
-        errors = result.held_out
-        lines.append(f'{result.joint}: held-out torque error {outcome.percent(errors.relative)}, '
-                     f'with Coulomb + viscous alone {outcome.percent(errors.coulomb_viscous)}')
+    for result in identification.joints_and_others:
+        lines.append(f'{result.joint}:' + (
+            '' if result is identification.others else
+            f' held-out torque error {outcome.percent(result.held_out.relative)}, with '
+            f'Coulomb + viscous alone {outcome.percent(result.held_out.coulomb_viscous)}'))
         lines += [f'  {outcome.short_name(estimate.name, result.joint)}: '
                   f"{', '.join(estimate.flags).upper()}; {estimate.note}".rstrip('; ')
                   for estimate in result.estimates if estimate.flags]

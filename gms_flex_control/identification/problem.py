@@ -29,7 +29,7 @@ from gms_flex_control.identification.objective import (
     numbered,
     observer_bandwidth,
 )
-from gms_flex_control.identification.outcome import JointResult
+from gms_flex_control.identification.outcome import JointResult, OtherJoints
 from gms_flex_control.identification.segments import (
     drive_sides,
     driven,
@@ -218,7 +218,7 @@ class Problem:
             self.choices, self.starts, strict=True)]
 
     def results(self, fits) -> tuple:
-        """Return a JointResult per joint that was fitted, and the robot with the arm found."""
+        """Return a JointResult per joint that was fitted, OtherJoints, the robot as found."""
         objectives, thetas = objectives_of(self.bundle, fits), [fit.theta for fit in fits]
         spreads = _per_joint(lambda choice, *found: choice.spread or uncertainty.spread_of(*found),
                              self.choices, objectives, fits)
@@ -234,9 +234,9 @@ class Problem:
             further = [(*own, *rows) for own, rows in zip(further, difference_estimates(
                 self.differences, robot.joints, self._sources), strict=True)]
         others = [row for j, rows in enumerate(further) if j not in self.fitted for row in rows]
-        further = [further[j] for j in self.fitted]
-        further[0] = (*further[0], *others)  # of the arm, and of links that did not move
-        return tuple(_per_joint(self._result, objectives, fits, spreads, further)), robot
+        results = _per_joint(self._result, objectives, fits, spreads,
+                             [further[j] for j in self.fitted])
+        return tuple(results), OtherJoints(tuple(others)), robot
 
     def _result(self, objective, fit, spread, further):
         """Return the JointResult of one joint; ``further`` are Estimates beyond friction."""

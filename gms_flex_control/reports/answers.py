@@ -29,6 +29,8 @@ def identification_text(identification) -> str:
                        f'{identification.seconds:.1f} s')]
     blocks += [_wrapped(f'warning: {text}') for text in identification.warnings]
     blocks += [_joint_text(result) for result in identification.joints]
+    if identification.others.estimates:
+        blocks.append('\n'.join(['other joints:', *_parameter_lines(identification.others)]))
     blocks.append('Errors on held-out data; C+v: Coulomb + viscous alone\n'
                   + align(*held_out_rows(identification.joints)))
     return '\n\n'.join(blocks)
@@ -76,10 +78,14 @@ def _joint_text(result):
     chosen = next((f', N = {n} blocks' for n, used in blocks if used), '')
     source = {'spring': 'the spring', 'motor': 'the motor torque'}.get(result.side, result.side)
     lines = [f'{_clipped(result.joint)}: friction torque by {source}{chosen}',
-             align(*_parameter_rows(result))]
-    lines += [_wrapped(f'- {note}') for note in outcome.notes(result)]
+             *_parameter_lines(result)]
     lines += [_wrapped(f'warning: {text}') for text in result.warnings]
     return '\n'.join(lines)
+
+
+def _parameter_lines(result):
+    return [align(*_parameter_rows(result)),
+            *(_wrapped(f'- {note}') for note in outcome.notes(result))]
 
 
 def _clipped(name):
@@ -124,7 +130,7 @@ def worst_joint(identification) -> outcome.JointResult:
 
 def _identified(identification, worst):
     errors = worst.held_out
-    standings = [outcome.standing(one) for result in identification.joints
+    standings = [outcome.standing(one) for result in identification.joints_and_others
                  for one in result.estimates]
     found, fitted = (len(standings) - sum(map(standings.count, those)) for those in (
         (outcome.NOT_IDENTIFIABLE, outcome.DOUBTFUL, outcome.SET), (outcome.SET,)))

@@ -206,6 +206,9 @@ def write_identification_report(identification, folder, *, robot=()) -> list:
     _add_summary(report, identification)
     for result, (friction_map, loops) in zip(identification.joints, shown, strict=True):
         _add_joint(report, result, None if result is worst else friction_map, loops)
+    if identification.others.estimates:
+        report.heading('Other joints')
+        _add_parameters(report, identification.others)
     return [report.write(folder / 'report.html'), *paths]
 
 
@@ -219,7 +222,7 @@ def _add_summary(report, identification):
     for text in identification.warnings:
         report.note(text, warning=True)
     rows = []
-    for result in identification.joints:
+    for result in identification.joints_and_others:
         counts = [sum(outcome.standing(estimate) == kind for estimate in result.estimates)
                   for kind in outcome.STANDINGS]
         rows.append((result.joint, *counts))
