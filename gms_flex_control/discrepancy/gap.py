@@ -70,12 +70,12 @@ class HeldOut:
 
     def errors(self, state) -> Errors:
         """Return the Errors of a State."""
-        return self._once(state, self._errors_of)
+        return self._once('errors', state, lambda: self._errors_of(state))
 
-    def _once(self, state, make):
-        key = make.__name__, id(state)
+    def _once(self, what, state, make):
+        key = what, id(state)
         if key not in self._made:  # the State is kept, so that its id is its own
-            self._made[key] = state, make(state)
+            self._made[key] = state, make()
         return self._made[key][1]
 
     def _errors_of(self, state):
@@ -100,11 +100,9 @@ class HeldOut:
 
     def floor(self, state) -> np.ndarray:
         """Return the residual torque (n,) [N m] of a null simulation of a State, or NaN."""
-        return self._once(state, self._floor_of)
-
-    def _floor_of(self, state):
         measured, model = self._measured, state.model
-        return _floor(measured, _whole(measured, model), _clean(measured, model))
+        return self._once('floor', state, lambda: _floor(
+            measured, _whole(measured, model), _clean(measured, model)))
 
     def action(self, model, other) -> np.ndarray:
         """Return the difference of the torques of two Fitted, joints in motion, rms (n,) [N m]."""

@@ -9,6 +9,7 @@ import time
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy import describe, thresholds
+from gms_flex_control.discrepancy import result as outcome
 from gms_flex_control.discrepancy.evidence import credible, doubted, posterior
 from gms_flex_control.discrepancy.fast_ripple import fast_ripples, with_ripples
 from gms_flex_control.discrepancy.findings import (
@@ -30,18 +31,6 @@ from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
 from gms_flex_control.discrepancy.null_simulation import is_followed
 from gms_flex_control.discrepancy.remainder import FreeFunctions, LEAST, signature_of
-from gms_flex_control.discrepancy.result import (
-    BAD_DATA,
-    Behind,
-    COMPLETE,
-    Credible,
-    Discrepancy,
-    FOUND,
-    Recorded,
-    Searched,
-    Tried,
-    UNEXPLAINED,
-)
 from gms_flex_control.discrepancy.samples import faults_of
 from gms_flex_control.discrepancy.search import search
 from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
@@ -68,7 +57,7 @@ class SearchOptions:
 def find_discrepancy(
         recordings: Sequence[Recording], robot: RobotParams,
         options: SearchOptions | None = None, *, holdout: Sequence[Recording] = (),
-        say: Callable[[str], object] = lambda text: None) -> Discrepancy:
+        say: Callable[[str], object] = lambda text: None) -> outcome.Discrepancy:
     """
     Find what a robot as believed lacks to explain its recordings, as a Discrepancy.
 
@@ -83,7 +72,7 @@ def find_discrepancy(
     words = tuple(fault.text for fault in faults)
     fatal = [fault.text for fault in faults if fault.severity == 'refuse']
     if fatal and not options.force:
-        result = Discrepancy(verdict=BAD_DATA, words=(
+        result = outcome.Discrepancy(verdict=outcome.BAD_DATA, words=(
             f'The data are at fault, not the model: {describe.first_of(fatal, 4)}'))
     else:
         def searched(robot):
@@ -151,24 +140,26 @@ def _result(likelihood, found, searched, after, findings, left, gap, retuned_alo
     added, named = after.key(known), {one.key for one in findings}
     main = sorted((one for one in findings if one.main), key=lambda one: one.key not in added)
     minor = tuple(one for one in findings if not one.main)
-    return Discrepancy(
-        verdict=(FOUND if any(one.key in added for one in main)
-                 else UNEXPLAINED if left or main else COMPLETE),
+    shares = posterior(doubted(found.tried, searched.tried, known), known,
+                       {one.key for one in minor})
+    models = tuple(outcome.Credible(tuple(sorted(names)), mass)
+                   for names, mass in credible(shares))
+    return outcome.Discrepancy(
+        verdict=(outcome.FOUND if any(one.key in added for one in main)
+                 else outcome.UNEXPLAINED if left or main else outcome.COMPLETE),
         findings=tuple(main), minor=minor,
-        searched=Searched(tuple(Credible(tuple(sorted(names)), mass) for names, mass in credible(
-            posterior(doubted(found.tried, searched.tried, known), known,
-                      {one.key for one in minor}))), _tried(found)),
+        searched=outcome.Searched(models, _tried(found)),
         stand_ins=tuple(
             spec for spec in after.model.robot.effects[known:] if spec.key not in named),
         unexplained=left, gap=gap,
         retuned=tuple((one.name, joints[one.joint] if one.joint >= 0 else 'arm', value)
                       for one, value in changes if not isinstance(one, OfRecording)),
-        data=Recorded(
+        data=outcome.Recorded(
             differences=tuple(one.words(joints, value) for one, value in changes
                               if isinstance(one, OfRecording) and one.is_reported(value)),
             noise=() if left else noise_of(likelihood, found.best.model)),
-        behind=Behind(likelihood, found.before.model, found.best.model, after.model,
-                      retuned_alone),
+        behind=outcome.Behind(likelihood, found.before.model, found.best.model, after.model,
+                              retuned_alone),
         robot=with_nuisances(after.model.robot, likelihood.nuisances, after.model.x))
 
 
@@ -382,8 +373,8 @@ def _tried(found):
     """Return all hypotheses of the first scan: the best of them, then those fitted roughly."""
     best = {one.key: one.decrease for one in found.first}
     others = sorted((gain, key) for key, gain in found.scan.items() if key not in best)
-    return (*(Tried(*key, gain, True) for key, gain in best.items()),
-            *(Tried(*key, gain, False) for gain, key in reversed(others)))
+    return (*(outcome.Tried(*key, gain, True) for key, gain in best.items()),
+            *(outcome.Tried(*key, gain, False) for gain, key in reversed(others)))
 
 
 def _known_off(found, robot):

@@ -90,13 +90,10 @@ def friction_values(identification: outcome.Identification) -> dict:
                      for (kind, joint), sd in uncertainty_of(identification).items()}
 
 
-def _known_by(part):
-    """Return the estimates that determine kinds of UNCERTAIN of a part, by kind."""
-    return {name: kind.known_by.removeprefix(f'{part}.') for name, kind in UNCERTAIN.items()
-            if kind.known_by.startswith(f'{part}.')}
-
-
-_OF_ARM, _OF_FRICTION = _known_by('arm'), _known_by('friction')
+# of kinds of UNCERTAIN, the estimates that tell how well they are known
+_OF_ARM, _OF_FRICTION = (
+    {name: kind.known_by.removeprefix(part) for name, kind in UNCERTAIN.items()
+     if kind.known_by.startswith(part)} for part in ('arm.', 'friction.'))
 
 
 def uncertainty_of(identification: outcome.Identification) -> dict[tuple[str, str], float]:
