@@ -81,8 +81,7 @@ def atomic_path(path) -> Generator[Path]:
         # one without a name is of the open file, such as that the disk is full
         if error.filename is not None and Path(error.filename) != temporary:
             raise
-        raise OSError(error.errno, f'cannot be written ({error.strerror})',
-                      str(path)) from error
+        raise OSError(error.errno, f'cannot be written ({error.strerror})', str(path)) from error
     finally:
         if temporary not in (target, *(_together.get() or ())):
             _remove([temporary], [target.parent] * made)

@@ -266,8 +266,7 @@ class SteppedController:
     @property
     def boxes(self) -> tuple:
         """Return state, measurement, constants and work space, as `tick_boxed` takes them."""
-        return (self._state, self._measured, self._constants, self._work, self._feeding,
-                self._fed)
+        return (self._state, self._measured, self._constants, self._work, self._feeding, self._fed)
 
     def pass_on(self, torque) -> np.ndarray:
         """Begin anew, and answer with a torque that is asked for, within limits (n_joints,)."""

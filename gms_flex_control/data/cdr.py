@@ -176,8 +176,7 @@ def pack_supply(voltage, stamp) -> bytes:
 
 def pack_phase(phase) -> bytes:
     """Return a Phase as CDR bytes, its ``time_ns`` as the stamp it holds from."""
-    return pack_multi_array([(label, 1, 1) for label in phase_labels(phase)],
-                            [float(phase.value)])
+    return pack_multi_array([(label, 1, 1) for label in phase_labels(phase)], [float(phase.value)])
 
 
 def phase_labels(phase) -> tuple:

@@ -30,8 +30,7 @@ class CsvTable:
             self.names, *self._other_names = map(_names, (row for _, row in reversed(header)))
             self._check_header(*header[-1])
         else:
-            self.names, self._other_names = [
-                str(i + 1) for i in range(len(_names(first[1])))], []
+            self.names, self._other_names = [str(i + 1) for i in range(len(_names(first[1])))], []
         self._texts = {}  # (row, column): what is no number
         self._values, self.lines = self._numbers(chain([first], rows))
 
@@ -280,8 +279,7 @@ def currents_in(import_map) -> list:
 
 def sliding(import_map) -> list:
     """Return the joints that are linear axes."""
-    return [joint.name for joint in import_map.joints
-            if joint.angle.unit in csv_map.LENGTH]
+    return [joint.name for joint in import_map.joints if joint.angle.unit in csv_map.LENGTH]
 
 
 def _units_kept(import_map):

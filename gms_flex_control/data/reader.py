@@ -100,8 +100,7 @@ def _columns(path, series, motors):
     columns['q_link'], columns['q_motor'] = series.states('position', order)
     columns['dq_link'], columns['dq_motor'] = series.states('velocity', order)
     series.refuse_renamed(stamps, columns['q_motor'])
-    columns['tau_motor'] = np.where([not name for name in motors],
-                                    *series.states('effort', order))
+    columns['tau_motor'] = np.where([not name for name in motors], *series.states('effort', order))
     columns['command'] = series.commands(stamps, received, period)
     joints = series.resolved()[0]
     driven = [motor or joint for joint, motor in zip(joints, motors, strict=True)]

@@ -274,8 +274,7 @@ def even_grid(time: np.ndarray, period: float) -> np.ndarray:
     return time[0] + period * np.arange(int((time[-1] - time[0]) / period * (1.0 + 1e-9)) + 1)
 
 
-def resampled(recording: Recording, values: np.ndarray, time: np.ndarray,
-              what: str) -> np.ndarray:
+def resampled(recording: Recording, values: np.ndarray, time: np.ndarray, what: str) -> np.ndarray:
     """Return values at even times; raise BagError where most are missing."""
     known = np.isfinite(values)
     if known.mean() < 0.5:

@@ -190,8 +190,7 @@ class BagWriter:
                                     self.custom)
 
     def _add_metadata(self):
-        self._mcap.add_metadata('rosbag2', {
-            'serialized_metadata': as_yaml(self._metadata())})
+        self._mcap.add_metadata('rosbag2', {'serialized_metadata': as_yaml(self._metadata())})
 
     def _save_metadata(self, final=False):
         write_text(self._folder / 'metadata.yaml',

@@ -112,8 +112,7 @@ def in_words(missing: str) -> str:
 def missing_of(report: Mapping) -> list[tuple[str, str]]:
     """Return (kind, joint) that a report.json of ``identify`` calls not identified."""
     found = {}
-    estimates = [(one, joint['joint']) for joint in report['joints']
-                 for one in joint['estimates']]
+    estimates = [(one, joint['joint']) for joint in report['joints'] for one in joint['estimates']]
     estimates += [(one, one['name'].split('.')[1]) for one in report.get('others', ())]
     for one, joint in estimates:
         part, *_, last = one['name'].split('.')

@@ -102,8 +102,7 @@ def by_hand(motions: Sequence[Candidate], weight: float) -> list[Candidate]:
         for one in motions if one.name in _LOADED]
 
 
-def random_moves(limits: Limits, joints: Sequence[str], seed: int, pace: float = 1.0
-                 ) -> Candidate:
+def random_moves(limits: Limits, joints: Sequence[str], seed: int, pace: float = 1.0) -> Candidate:
     """Return moves through random postures, which designed motions are compared with."""
     return _postures('random_moves', 'moves through random postures', _reach(limits, joints),
                      limits, joints, pace, seed, 40)

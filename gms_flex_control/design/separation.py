@@ -151,8 +151,7 @@ def log_odds(likelihood: Likelihood, models: Sequence[Fitted], evidence: Sequenc
     the recording and of the null simulations scatter by 4 sum d^2 each: of this `PLAUSIBLE`
     standard deviations are subtracted.
     """
-    noise = [np.subtract(*likelihood.of_pair(one.robot, one.x)) / np.sqrt(2.0)
-             for one in models]
+    noise = [np.subtract(*likelihood.of_pair(one.robot, one.x)) / np.sqrt(2.0) for one in models]
     odds = 0.5 * np.subtract.outer(evidence, evidence)
     for a, b in combinations(range(len(models)), 2):
         weight = np.minimum(*(likelihood.weights(models[k].sums.groups) for k in (a, b)))
@@ -178,8 +177,7 @@ def _fitted(likelihood, base, nuisances, dictionary, effects):
     prior = fitting.prior_of(likelihood, model, numbers)
     rows = fitting.informative(likelihood, model, jacobian)
     gram = (rows * likelihood.weights(model.sums.groups)) @ rows.T
-    information = gram + np.diag(np.maximum(
-        prior.pull, 1.0 / (prior.sd * _LARGEST_SD) ** 2))
+    information = gram + np.diag(np.maximum(prior.pull, 1.0 / (prior.sd * _LARGEST_SD) ** 2))
     return Hypothesis(effects, model, numbers, np.linalg.inv(information),
                       state_of(likelihood, model, jacobian, 2).evidence)
 

@@ -215,8 +215,7 @@ def _remainder(result):
     if result.verdict == FOUND and unexplained:
         yield unexplained, False
     elif left is not None and result.verdict != FOUND:
-        yield (f'Something is missing that the catalogue does not explain: {left.sentence}',
-               False)
+        yield (f'Something is missing that the catalogue does not explain: {left.sentence}', False)
 
 
 def _gap(result):

@@ -62,8 +62,7 @@ def state_of(likelihood, model, jacobian, hypotheses) -> State:
     evidence = (-exact.cost - fitting.prior_cost(model, numbers) - occam
                 + 2.0 * log_determinant(likelihood, model)
                 - 2.0 * added * np.log(max(hypotheses, 2)))
-    return State(model, jacobian[:len(model.x)], jacobian[len(model.x):],
-                 finite(evidence))
+    return State(model, jacobian[:len(model.x)], jacobian[len(model.x):], finite(evidence))
 
 
 def finite(evidence) -> float:

@@ -194,8 +194,7 @@ def evidence_shares(functions, model, worths, left, beside, somewhere) -> list:
     if left is not None:
         for spec, one, places in zip(specs, worths, instead, strict=True):
             if left.joint == spec.joint and find(spec.name).evidence in left.variable:
-                places[left.place] = max(places.get(left.place, 0.0),
-                                         one.outright + left.evidence)
+                places[left.place] = max(places.get(left.place, 0.0), one.outright + left.evidence)
     together = {place: sum(one.outright for one, places in zip(worths, instead, strict=True)
                            if place in places) for place in rest}
     return [min((together[place] / max(together[place] - one.outright + evidence, 1e-12)

@@ -194,8 +194,7 @@ def _torque(likelihood, parts, motions=None):
         for m, (residual, mask) in enumerate(zip(residuals, masks, strict=True)):
             whitening = likelihood.whitenings[m]
             if motions:
-                residual = residual + drawn_noise(
-                    likelihood, m, np.random.default_rng(_SEED))
+                residual = residual + drawn_noise(likelihood, m, np.random.default_rng(_SEED))
             torque, still = whitening.low_passed(residual), likelihood.groups.at_rest[m]
             link, motor = torque[:, :n], torque[:, n:]
             for side, where in enumerate((~still & mask[:, None], still & mask[:, None])):

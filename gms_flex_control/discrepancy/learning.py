@@ -240,8 +240,7 @@ class _Learning:
                 fitting.at_values(model.robot, numbers, fitting.values_of(
                     model.robot, numbers) + step[at:]),
                 model.x + step[:at])
-            if not (fitting.total_cost(likelihood, other)
-                    < fitting.total_cost(likelihood, model)):
+            if not (fitting.total_cost(likelihood, other) < fitting.total_cost(likelihood, model)):
                 break
             model = other
         return self._state(model, jacobian)

@@ -132,8 +132,7 @@ class OfRecording(NamedTuple):
 
 def recorded(motion, values) -> Motion:
     """Return a Motion cleared of what is particular: ``values`` (OfRecording, float), tuple."""
-    zeros = tuple((one.joint, value * one.unit) for one, value in values
-                  if not one.kind.clear)
+    zeros = tuple((one.joint, value * one.unit) for one, value in values if not one.kind.clear)
     if zeros:
         motion = motion.once(('zeros', zeros), lambda: _with_zeros(motion, zeros))
     if len(zeros) == len(values):

@@ -264,8 +264,7 @@ class FreeFunctions:
         out, step = np.zeros(likelihood.groups.blocks), np.zeros(len(every))
         for k, left_out in enumerate(parts):
             gram = np.diag(pull) + sum(one for m, one in enumerate(grams) if m != k)
-            step[free] = np.linalg.lstsq(gram[np.ix_(free, free)], slopes[free, k],
-                                         rcond=1e-12)[0]
+            step[free] = np.linalg.lstsq(gram[np.ix_(free, free)], slopes[free, k], rcond=1e-12)[0]
             out += of_blocks(likelihood, left_out, model.whitened + step @ every, weight)
         return out
 
@@ -277,8 +276,7 @@ def _shapes(likelihood, j):
     Both by name as of `Free`; the second where noise is not small beside the variable.
     """
     motions, found, noise = likelihood.motions, {}, {}
-    own, *null = ([variables(motion, j) for motion in run]
-                  for run in (motions, *likelihood.pair))
+    own, *null = ([variables(motion, j) for motion in run] for run in (motions, *likelihood.pair))
     others = [of_others(motion, j) for motion in motions]
     longest = max(motion.time[-1] - motion.time[0] for motion in motions)
     moving, *ways = ([_direction(one['link rate']) for one in run] for run in (own, *null))

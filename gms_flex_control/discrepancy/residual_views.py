@@ -194,8 +194,7 @@ def follows(x, y) -> float:
     """Return the share of the mean square of y (S,) that its means over bins of x make."""
     places = np.searchsorted(bin_edges(x), x)
     count = np.maximum(np.bincount(places), 1)
-    return float(np.sum(np.bincount(places, weights=y) ** 2 / count)
-                 / max(np.sum(y ** 2), 1e-300))
+    return float(np.sum(np.bincount(places, weights=y) ** 2 / count) / max(np.sum(y ** 2), 1e-300))
 
 
 def _shown_over(along, spec, own, j):

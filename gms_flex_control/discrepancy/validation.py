@@ -166,8 +166,7 @@ def innovation_cost(errors: np.ndarray, usable: np.ndarray, period: float) -> fl
     gram = gram.transpose(0, 2, 1, 3).reshape(size + count, size + count)
     now, before, both = gram[:count, :count], gram[count:, count:], gram[count:, :count]
     before = before + _RIDGE * np.trace(before) / size * np.eye(size)
-    return used * np.linalg.slogdet(
-        (now - both.T @ np.linalg.solve(before, both)) / used)[1]
+    return used * np.linalg.slogdet((now - both.T @ np.linalg.solve(before, both)) / used)[1]
 
 
 def _lagged_products(errors, memory):

@@ -236,5 +236,4 @@ def _pull(i, links, work):
     gx, gy = links.gravity[0], links.gravity[1]
     weight = links.moment[i] * (gx * work.sine[i] - gy * work.cosine[i])
     slope = links.moment[i] * (gx * work.cosine[i] + gy * work.sine[i])
-    return (weight, slope * work.omega[i],
-            slope * work.alpha[i] - weight * work.omega[i] ** 2)
+    return (weight, slope * work.omega[i], slope * work.alpha[i] - weight * work.omega[i] ** 2)

@@ -118,8 +118,7 @@ def coupled_motors(recordings) -> list[int]:
                 first is not None and not np.array_equal(one.coupling, first)):
             raise IdentificationError(f'{one.source}: its coupling is another than that of '
                                       f'{recordings[0].source}: give both the same')
-    return [] if first is None else [
-        m for m, row in enumerate(first) if np.any(np.delete(row, m))]
+    return [] if first is None else [m for m, row in enumerate(first) if np.any(np.delete(row, m))]
 
 
 def beyond_own(acceleration, inertia, coupling) -> np.ndarray:

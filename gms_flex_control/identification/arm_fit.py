@@ -108,8 +108,7 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     joints, arm, effects = [], robot.arm, []
     for j, name in enumerate(robot.joints):
         source, turns = recordings[0].source, arm.axes == 'rotary'
-        rows = axis_fit.rows_that_agree(
-            recordings, _drive_of(recordings, robot.arm, j), j, turns)
+        rows = axis_fit.rows_that_agree(recordings, _drive_of(recordings, robot.arm, j), j, turns)
         axis, ripple = axis_fit.fit_axis_with_ripple(recordings, rows, j, name, source, turns)
         effects += [ripple.effect(name)] if ripple else []
         # where none is seen, one that needs a small part of the torque: with much less, the blocks

@@ -266,8 +266,7 @@ class ArmRegression:
             turned = self._last.step @ self._last.normal @ before < 0.0
             share = max(0.5 * share, _LEAST_SHARE) if turned else min(1.5 * share, 1.0)
             before = self._last.step
-            links, zeros, scales, loads, coupled = (
-                share * before[part] for part in layout[:5])
+            links, zeros, scales, loads, coupled = (share * before[part] for part in layout[:5])
             at.links = at.links + links
             at.zeros[1:] += zeros.reshape(at.zeros[1:].shape)
             at.scale[layout.free] *= np.exp(np.clip(scales, -1.0, 1.0))

@@ -62,8 +62,7 @@ class ArmSamples(NamedTuple):
     recording: np.ndarray  # (S,) int
 
 
-def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None,
-            slips=SLIPS) -> tuple:
+def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None, slips=SLIPS) -> tuple:
     """
     Return ArmSamples of recordings, ``friction`` (T, n) subtracted, and usual rates; or a refusal.
 
@@ -201,8 +200,7 @@ def _differences(segment, every, period):
     angle = uniform_filter1d(filled(segment.angle), every, axis=0, mode='nearest')[::every]
     before, at, after, step = angle[:-2], angle[1:-1], angle[2:], every * period
     motion = at, (after - before) / (2.0 * step), (after - 2.0 * at + before) / step ** 2
-    return (tuple(map(np.ascontiguousarray, motion)),
-            _weighted(torque_at_samples(segment), every))
+    return tuple(map(np.ascontiguousarray, motion)), _weighted(torque_at_samples(segment), every)
 
 
 def _weighted(values, every):

@@ -57,8 +57,7 @@ def rigid_joints(names: Sequence[str]) -> RobotParams:
                                 weight=np.ones((n, 1)), attraction=one))
 
 
-def with_load_friction(robot: RobotParams, per_load: np.ndarray,
-                       step: np.ndarray) -> RobotParams:
+def with_load_friction(robot: RobotParams, per_load: np.ndarray, step: np.ndarray) -> RobotParams:
     """Return a robot whose friction grows by ``per_load`` (n,) of the torque carried."""
     friction = robot.friction
     level = 0.5 * (friction.forward.static + friction.backward.static)[:, None] * friction.weight
@@ -142,8 +141,7 @@ def with_torques(recording: Recording, robot: RobotParams) -> Recording:
     columns = [recording.joints.index(joint) for joint in robot.joints]
     angles = np.isfinite(recording.q_motor[:, columns]).any(axis=0) & ~robot.arm.rigid
     known = np.isfinite(recording.tau_motor[2:, columns]).any(axis=0)
-    lacking = [k for k, side, one in zip(columns, angles, known, strict=True)
-               if not (side or one)]
+    lacking = [k for k, side, one in zip(columns, angles, known, strict=True) if not (side or one)]
     if len(lacking) == robot.n_joints:
         return recording
     torque = recording.tau_motor.copy()

@@ -332,8 +332,7 @@ def _with_load(columns, rows, off):
     with_load = held_out_error(grown, rows.torque, rows.block)
     placed = np.sign(rows.rate) * np.array([
         wave(order * rows.angle) for order in _PLACES for wave in (np.cos, np.sin)])
-    rival = held_out_error(np.column_stack([columns, placed.T]), rows.torque,
-                           rows.block)
+    rival = held_out_error(np.column_stack([columns, placed.T]), rows.torque, rows.block)
     explained, rivals = (off ** 2 - one ** 2 for one in (with_load, rival))
     is_there = with_load < _WORTH * off and explained > _WORTH * rivals
     return (grown, with_load) if is_there else (columns, off)

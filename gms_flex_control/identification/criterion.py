@@ -128,8 +128,7 @@ class _Criteria:
 
     def _that_judge(self, looks):
         """Return the looks of a trial whose both parts have motion of the joint."""
-        return tuple(look for look in looks
-                     if self._moves(look.fitted) and self._moves(look.out))
+        return tuple(look for look in looks if self._moves(look.fitted) and self._moves(look.out))
 
     def _moves(self, chosen):
         joint, bundle = self._objective.joint, self._objective.bundle

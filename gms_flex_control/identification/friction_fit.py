@@ -82,8 +82,7 @@ def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, steps: Se
             Objective(rough, j, thetas) for j in joints]))
         say('refining each joint, the others as they were found')
         fits = _search(pool, bundle, fits, LEVELS)
-        fits = list(pool.map(
-            partial(fit_again, blocks=blocks), objectives_of(rough, fits), fits))
+        fits = list(pool.map(partial(fit_again, blocks=blocks), objectives_of(rough, fits), fits))
         if not all(fit.ends for fit in fits):  # not where the search ended
             fits = _search(pool, bundle, fits, LEVELS[-1:])
         fits = [fit.slipping(travel(bundle.segments, j)) for j, fit in enumerate(fits)]

@@ -80,10 +80,8 @@ def _regressor(q, dq, ddq, links, out) -> None:
             _add_columns(i, 10 * i + 1 + a, spatial.swung(omega, alpha, axis),
                          vec.cross(axis, lift), axes, places, links, out)
             for b in range(a, 3):
-                moment = vec.add(_unit_times(a, b, gain),
-                                 vec.cross(spin, _unit_times(a, b, spin)))
-                _add_columns(i, column, zero, vec.combine(frame, moment), axes, places, links,
-                             out)
+                moment = vec.add(_unit_times(a, b, gain), vec.cross(spin, _unit_times(a, b, spin)))
+                _add_columns(i, column, zero, vec.combine(frame, moment), axes, places, links, out)
                 column += 1
 
 

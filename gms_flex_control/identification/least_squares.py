@@ -253,8 +253,7 @@ def _lost_block(coordinates, free, side):
 
 def _tried(objective, coordinates, free, prior, floor, steps, limit):
     """Return a Refined from ``free``, left where it is if few steps do not get below ``limit``."""
-    end = refine(objective, coordinates, free, prior, roughly=True, floor=floor,
-                 iterations=steps)
+    end = refine(objective, coordinates, free, prior, roughly=True, floor=floor, iterations=steps)
     if end.settled or _cost_above(end, floor, prior) > limit:
         return end
     return refine(objective, coordinates, end.free, prior, roughly=True, floor=floor)
@@ -304,10 +303,8 @@ class TorqueError:
                 self._pieces.append((segment.window, objective.measured(segment),
                                      objective.resistance_along(segment), counts))
         self.block = np.unique(np.concatenate(blocks), return_inverse=True)[1]
-        self.measured = np.concatenate([
-            torque[counts] for _, torque, _, counts in self._pieces])
-        self.memory = max(_MEMORY / bundle.period,
-                          *(2.0 * window for window, *_ in self._pieces))
+        self.measured = np.concatenate([torque[counts] for _, torque, _, counts in self._pieces])
+        self.memory = max(_MEMORY / bundle.period, *(2.0 * window for window, *_ in self._pieces))
 
     def __call__(self, theta):
         """Return the unexplained torque (S,) of parameters [N m]."""

@@ -61,8 +61,7 @@ class Problem:
     move together. Friction is fitted of joints ``only`` (str), () all; that of others is right.
     """
 
-    def __init__(self, given, holdouts, robot, *, whole=False, alone=True, beside=None,
-                 only=()):
+    def __init__(self, given, holdouts, robot, *, whole=False, alone=True, beside=None, only=()):
         self.whole, self._given, self._only = whole, (given, holdouts, robot), only
         half = half_count(given[0][0].of_joints(robot.joints), robot)  # of readings as they are
         recordings, believed_robot = self._settle_arm(
@@ -156,8 +155,7 @@ class Problem:
         for why, left_out in (
                 ('hardly move in these recordings', is_driven),
                 ('have no torque that was recorded, or one that never changes', ~is_driven)):
-            others = [self.described.joints[j] for j in joints
-                      if left_out[j] and j not in fitted]
+            others = [self.described.joints[j] for j in joints if left_out[j] and j not in fitted]
             if others:
                 warnings.warn(
                     f'{", ".join(self._sources)}: {", ".join(others)} {why}: their friction stays '
@@ -206,14 +204,12 @@ class Problem:
         """Return the JointFit per joint that predicts motion best."""
         extras = [np.zeros(len(self.arm_fit.joints[j].units) if self.arm_fit else 0)
                   for j in self.fitted]
-        return fit_all(self.bundle, self.starts, extras, self.step, blocks=options.blocks,
-                       say=say)
+        return fit_all(self.bundle, self.starts, extras, self.step, blocks=options.blocks, say=say)
 
     def choose(self, fits, say) -> list:
         """Return the JointFit per joint that is chosen of those that `search` found."""
         say('comparing with a fit of the torque')
-        self.choices = _per_joint(
-            choose_fit, objectives_of(self.bundle, fits), fits, self.step)
+        self.choices = _per_joint(choose_fit, objectives_of(self.bundle, fits), fits, self.step)
         return [choice.fit.alike_both_ways(start.unmoved) for choice, start in zip(
             self.choices, self.starts, strict=True)]
 

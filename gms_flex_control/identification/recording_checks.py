@@ -55,8 +55,7 @@ def saturated(signals: Recording) -> list[Fault]:
         lasting, part = limits.CLIP_TRAVEL
         width = max(1, round(lasting / signals.period))
         travel = np.abs(q[2 * width:] - q[:-2 * width])
-        moving = np.pad(travel > max(part * np.nanmax(travel, initial=0.0), 2 * quantum(q)),
-                        width)
+        moving = np.pad(travel > max(part * np.nanmax(travel, initial=0.0), 2 * quantum(q)), width)
         share = np.sum(clipped & moving) / max(np.sum(moving), 1)
         if share >= limits.CLIPPED_WARN:
             limit = np.abs(tau[clipped]).max()
@@ -85,12 +84,10 @@ def _at_an_extreme(tau):
         below = (value >= top - max(1.5 * quantum(tau), limits.CLIP_BELOW * span)) & ~at
         repeats = np.sum(still & at)
         rare = np.sum(still & ~at & (tau != 0)) < limits.CLIP_RARE * repeats
-        if repeats >= limits.CLIP_REPEATS and (
-                rare or at.sum() > limits.CLIP_DENSE * below.sum()):
+        if repeats >= limits.CLIP_REPEATS and (rare or at.sum() > limits.CLIP_DENSE * below.sum()):
             clipped |= at
     # a torque in steps stands still at every level, not only at the outer ones
-    return clipped & (np.sum(still & ~clipped & (tau != 0))
-                      < limits.CLIP_ALONE * np.sum(clipped))
+    return clipped & (np.sum(still & ~clipped & (tau != 0)) < limits.CLIP_ALONE * np.sum(clipped))
 
 
 def physics(signals: Recording, robot: RobotParams, rough: bool) -> list[Fault]:
@@ -145,8 +142,7 @@ def _balance_sign(balance, j):
     # a joint that is not driven by its torque takes no work from it in the end
     power = tau * balance.motion.dq_link[:, j]  # friction takes work
     driven = np.sum(power) / max(np.sum(np.abs(power)), 1e-300) > limits.CLEAR
-    return -1 if clear and not driven and loose.as_is < max(
-        loose.opposite, limits.LOOSE) else 0
+    return -1 if clear and not driven and loose.as_is < max(loose.opposite, limits.LOOSE) else 0
 
 
 def _spring_sign(balance, j):
@@ -157,8 +153,7 @@ def _spring_sign(balance, j):
     explained_other, gain_other = spring_fit(tau, motion.ddq_link[:, j], -torsion)
     if explained > limits.CLEAR and gain > limits.CLEAR and gain_other < limits.OTHER_SIDE:
         return 1
-    if (explained_other > limits.CLEAR and gain_other > limits.CLEAR
-            and gain < limits.OTHER_SIDE):
+    if explained_other > limits.CLEAR and gain_other > limits.CLEAR and gain < limits.OTHER_SIDE:
         return -1
     return 0
 

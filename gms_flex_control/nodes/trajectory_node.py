@@ -98,8 +98,7 @@ class TrajectoryNode(ConfiguredNode):
             self.get_logger().info('no action ~/follow_joint_trajectory: control_msgs is not '
                                    'installed (sudo apt install ros-jazzy-control-msgs)')
             return None
-        return joint_trajectory.TrajectoryAction(self, self._motion, self._prepare,
-                                                 self._obstacle)
+        return joint_trajectory.TrajectoryAction(self, self._motion, self._prepare, self._obstacle)
 
     def _on_diagnostics(self, message):
         """Hear whether the plant, or bridge, of this namespace lets torque flow."""
@@ -173,8 +172,7 @@ class TrajectoryNode(ConfiguredNode):
     def _begin(self, stamp):
         if self._motion.current is not None:
             self._counts['jumps of time'] += 1
-            self.health.warn('set back',
-                             'joint states were set back in time: begins anew at rest')
+            self.health.warn('set back', 'joint states were set back in time: begins anew at rest')
         self._motion.begin(stamp)
 
     def _publish(self, stamp):
@@ -238,8 +236,7 @@ class TrajectoryNode(ConfiguredNode):
         self.health.recover()
         if self._motion.published is None:  # the next state is the first again
             self._motion.current = None
-        return self._answer(self._rest_at_robot,
-                            'reference comes to rest from where the robot is')
+        return self._answer(self._rest_at_robot, 'reference comes to rest from where the robot is')
 
     def _rest_at_robot(self):
         self._motion.rest_at_robot()

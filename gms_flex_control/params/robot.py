@@ -31,8 +31,7 @@ class StribeckParams:
     static: np.ndarray = number('static friction F_s', 'N m', lower=SMALLEST, upper=LARGEST)
     coulomb: np.ndarray = number('Coulomb friction F_c', 'N m', lower=SMALLEST, upper=LARGEST)
     velocity: np.ndarray = number('Stribeck velocity v_s', 'rad/s', lower=SMALLEST)
-    viscous: np.ndarray = number('viscous friction sigma_2', 'N m s/rad', lower=0.0,
-                                 upper=LARGEST)
+    viscous: np.ndarray = number('viscous friction sigma_2', 'N m s/rad', lower=0.0, upper=LARGEST)
 
     def __post_init__(self):
         freeze_arrays(self)

@@ -43,8 +43,7 @@ def _cells(row):
     """Return one Row as cells of text; units as in `_NOTE`."""
     drawn, rest = [], []
     if row.drawn:
-        drawn = [_milli(_median(row.drawn)),
-                 _milli(None if None in row.drawn else max(row.drawn))]
+        drawn = [_milli(_median(row.drawn)), _milli(None if None in row.drawn else max(row.drawn))]
         rest = [_milli(row.drawn_hold)]
     return [row.name, _milli(row.errors['nominal']),
             *(_milli(row.errors[group]) for group in _GROUPS), *drawn,
@@ -98,8 +97,7 @@ def plant_page(rows, outcomes, setting, source, answer) -> Report:
     page.chart(f'{motion}, {joint}: link angle - reference', time, [
         one._replace(hidden=one.label not in ('none', answer.columns[1])) for one in series],
         y_label='error [mrad]')
-    page.heading('All in one table').table(
-        _header(rows), [_cells(row) for row in rows])
+    page.heading('All in one table').table(_header(rows), [_cells(row) for row in rows])
     page.text(' '.join(_NOTE.split()) + '.')
     page.heading('Plant as believed').table(
         ['compensation', *(f'{motion}, {joint}' for motion in rows[0].mse

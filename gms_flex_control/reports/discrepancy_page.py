@@ -74,8 +74,7 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
         first = int(np.argmax(np.nan_to_num(result.gap.free_after)))
         _add_free_run(report, runs, first)
     _add_summary(report, result)
-    report.figure(picture(gap_figure(result.gap), 'gap.png'),
-                  'The gap on data held out')
+    report.figure(picture(gap_figure(result.gap), 'gap.png'), 'The gap on data held out')
     _add_rest_and_noise(report, result)
     _add_findings(report, result, evidence, drawn, first)
     _add_left(report, result)

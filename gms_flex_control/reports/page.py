@@ -250,8 +250,7 @@ def decimate(x, values, limit) -> tuple:
         return x, list(values)
     edges = np.linspace(0, len(x), limit // 2 + 1).astype(int)
     first, last = edges[:-1], edges[1:] - 1
-    return np.column_stack([x[first], x[last]]).ravel(), [
-        _extremes(y, edges) for y in values]
+    return np.column_stack([x[first], x[last]]).ravel(), [_extremes(y, edges) for y in values]
 
 
 def _extremes(y, edges):

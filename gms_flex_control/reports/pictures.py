@@ -106,8 +106,7 @@ def _bars(panel, joints, scale, groups):
         drawn = panel.barh(at + (i - 0.5 * (len(groups) - 1)) * height,
                            scale.factor * np.nan_to_num(values), 0.9 * height, color=colour,
                            label=name)
-        panel.bar_label(drawn, [scale.text(value) for value in values], fontsize=7.5,
-                        padding=2)
+        panel.bar_label(drawn, [scale.text(value) for value in values], fontsize=7.5, padding=2)
     panel.set_yticks(at, joints, parse_math=False)
     panel.invert_yaxis()
 

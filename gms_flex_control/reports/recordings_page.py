@@ -177,8 +177,7 @@ def _save_pictures(runs, folder, words):
     for trajectory, drawn in _by_trajectory(runs):
         for run in drawn:
             name = f'tracking_{run.trajectory}_{run.compensation}'
-            figure_style.save_figure(tracking_figure(run), free_path(folder, name, used),
-                                     words)
+            figure_style.save_figure(tracking_figure(run), free_path(folder, name, used), words)
         figure_style.save_figure(error_figure(drawn, trajectory),
                                  free_path(folder, f'errors_{trajectory}', used), words)
 

@@ -286,8 +286,7 @@ def _frictions(tendons, name, joint):
     for k, (angle, stiffness) in enumerate(joint.stops, start=1):
         if angle and stiffness:
             free = (-_FAR, angle) if angle > 0.0 else (angle, _FAR)
-            _tendon(tendons, f'{name}_stop{k}', {name: 1.0}, stiffness,
-                    springlength=_text(*free))
+            _tendon(tendons, f'{name}_stop{k}', {name: 1.0}, stiffness, springlength=_text(*free))
 
 
 def _springs(tendons, robot, j, joint):

@@ -75,8 +75,7 @@ def simplified(robot: RobotParams, without: Iterable[str]) -> RobotParams:
     if 'stribeck_direction' in without:
         excess = _mean(sides, _excess)
         velocity = _mean(sides, lambda side: side.velocity)
-        sides = [replace(side, static=side.coulomb + excess, velocity=velocity)
-                 for side in sides]
+        sides = [replace(side, static=side.coulomb + excess, velocity=velocity) for side in sides]
     if 'direction' in without:
         sides = 2 * [StribeckParams(**{
             name: _mean(sides, lambda side, name=name: getattr(side, name)) for name in STRIBECK})]

@@ -113,8 +113,7 @@ def through(times, states) -> Trajectory:
         found[1:-1] = (at_end[:-1] + at_begin[1:]) / 2.0
         states[:, k] = np.where(np.isnan(states[:, k]), found, states[:, k])
     polys = hermite(states[:-1], states[1:], durations)
-    return polynomials(times, [*durations, 1.0], [*polys, constant(states[-1, 0])],
-                       end=times[-1])
+    return polynomials(times, [*durations, 1.0], [*polys, constant(states[-1, 0])], end=times[-1])
 
 
 def polynomial(amplitude, move_time, hold_time, repeats=1) -> Trajectory:

@@ -104,8 +104,7 @@ def places(scene, angles) -> np.ndarray:
         if frames['prismatic'][j]:
             at = at + moved[:, j, None] * turned[:, :, 2]
         else:
-            turned = turned @ Rotation.from_rotvec(
-                moved[:, j, None] * [0.0, 0.0, 1.0]).as_matrix()
+            turned = turned @ Rotation.from_rotvec(moved[:, j, None] * [0.0, 0.0, 1.0]).as_matrix()
         found.append(at)
     return np.stack([*found, at + turned @ frames['tip']], axis=1)
 
@@ -165,8 +164,7 @@ LEVELS = 24          # of skipping every second sample once more
 _MOST_POINTS = 8000  # of one line in an answer
 
 
-def open_bag(path, robot=None, *, default=None, joints=None, motors=None,
-             others=()) -> 'BagView':
+def open_bag(path, robot=None, *, default=None, joints=None, motors=None, others=()) -> 'BagView':
     """
     Read a bag for viewing; BagError if it cannot be read or has other joints than ``robot``.
 
