@@ -8,6 +8,7 @@ together, all hypotheses fitted anew, until one hypothesis is left.
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -106,18 +107,7 @@ def plan_next(beliefs: separation.Beliefs, gains: ControllerParams, limits: Limi
     first = min(SHORTEST, longest)
     loop = separation.loop_of(beliefs, clipped(gains, limits), limits, period=period)
 
-    def choice(one, lengths):
-        """Return (worth, the more the better; probability, length) of the best of lengths."""
-        found = []
-        for length in lengths:
-            share = beliefs.probabilities @ separation.resolving(
-                beliefs, one.after(length, beliefs.odds), wanted)
-            pace = 1.0 / (length + _AROUND + _MINUTE * one.candidate.minutes)
-            found.append(((share >= _ENOUGH, pace if share >= _ENOUGH else share * pace),
-                          float(share), float(length)))
-        return max(found)
-    lengths = np.arange(first, longest + 0.5)
-    stuck = below_break_away(beliefs.robot)
+    stuck, choice = below_break_away(beliefs.robot), partial(_choice, beliefs, wanted)
 
     def offered(pace):
         motions = candidates(limits, beliefs.robot.joints, pace, stuck=stuck)
@@ -135,26 +125,47 @@ def plan_next(beliefs: separation.Beliefs, gains: ControllerParams, limits: Limi
     if not found:
         raise ConfigError('every motion would cross a limit with a robot of the hypotheses; '
                           'widen the limits, or look at gains with gms_flex tune')
+    lengths = np.arange(first, longest + 0.5)
     found.sort(key=lambda one: choice(one, lengths)[0], reverse=True)
-    best = max(found, key=lambda one: choice(one, [first])[0])
-    worth = choice(best, [first])
-    ahead, simulated = list(found), 0
+
+    def predicted(one, length):
+        say(f'{one.candidate.words}, {length:.0f} s')
+        return one if length == one.duration else separation.predicted(
+            beliefs, one.candidate, length, loop)
+    best, probability = _longer(found, choice, lengths, predicted)
+    return NextRecording(beliefs=beliefs, wanted=wanted, best=best, probability=probability,
+                         compared=tuple(found), refused=tuple(refused))
+
+
+def _choice(beliefs, wanted, one, lengths):
+    """Return (worth, the more the better; probability, length) of the best of lengths."""
+    found = []
+    for length in lengths:
+        share = beliefs.probabilities @ separation.resolving(
+            beliefs, one.after(length, beliefs.odds), wanted)
+        pace = 1.0 / (length + _AROUND + _MINUTE * one.candidate.minutes)
+        found.append(((share >= _ENOUGH, pace if share >= _ENOUGH else share * pace),
+                      float(share), float(length)))
+    return max(found)
+
+
+def _longer(found, choice, lengths, predicted):
+    """Return the best Prediction, and its probability, of motions as they are or longer."""
+    best = max(found, key=lambda one: choice(one, lengths[:1])[0])
+    worth, ahead, simulated = choice(best, lengths[:1]), list(found), 0
     while ahead and simulated < _SIMULATED:  # what a longer motion is worth is simulated
         one = max(ahead, key=lambda one: choice(one, lengths)[0])
         promised, _, length = choice(one, lengths)
         if promised <= worth[0]:
             break
-        say(f'{one.candidate.words}, {length:.0f} s')
         ahead.remove(one)
         simulated += 1
-        longer = one if length == one.duration else separation.predicted(
-            beliefs, one.candidate, length, loop)
+        longer = predicted(one, length)
         if longer is not None:
             ahead.append(longer)  # which foresees a still longer one better
             if choice(longer, [length])[0] > worth[0]:
                 best, worth = longer, choice(longer, [length])
-    return NextRecording(beliefs=beliefs, wanted=wanted, best=best, probability=worth[1],
-                         compared=tuple(found), refused=tuple(refused))
+    return best, worth[1]
 
 
 def clipped(gains: ControllerParams, limits: Limits) -> ControllerParams:

@@ -60,7 +60,6 @@ class TrajectoryNode(ConfiguredNode):
         self._plant, self._no_torque = self.resolve_service_name('plant'), ''  # '': it flows
         self._counts = dict.fromkeys(('states followed', 'states refused', 'jumps of time'), 0)
         self.health = Health(self, lambda: self._counts)
-        guard = self.health.guard
         self._reference_pub = Outlet(self, Float64MultiArray, 'reference', values['mode'])
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
         hear = self.health.shield(self._on_diagnostics)
@@ -71,27 +70,30 @@ class TrajectoryNode(ConfiguredNode):
         self.create_subscription(
             JointTrajectory, '~/joint_trajectory', self.health.shield(self._on_joint_trajectory),
             process.subscriber_qos('lockstep'), event_callbacks=process.NO_EVENTS)
-        for name, act in (
-                ('start', lambda: self._answer(
-                    self._motion.go, f"{self._motion.values['trajectory.type']} begins")),
-                ('stop', lambda: self._answer(self._motion.brake, 'comes to rest')),
-                ('reset', self._reset),
-                ('release', lambda: self._answer(self._motion.let_go, 'zero torque'))):
-            handler = guard(trigger(name, act))
-            self.create_service(Trigger, f'~/{name}', handler)
-            self.direct.services[self.resolve_service_name(f'~/{name}')] = handler
+        self._serve_triggers()
 
         def judge(new):
             trajectory = trajectory_from_values(new, joints)
             require(trajectory)
             return trajectory, new
 
-        parameters.watch(judge, self._choose, guard)
+        parameters.watch(judge, self._choose, self.health.guard)
         self._action = self._serve_action()
         self.get_logger().info(f"{values['trajectory.type']}, call ~/start to begin"
                                if not values['trajectory.autostart'] else
                                f"{values['trajectory.type']} begins at the first joint state")
         scheduling.take_priority(self, values['realtime_priority'])
+
+    def _serve_triggers(self):
+        for name, act in (
+                ('start', lambda: self._answer(
+                    self._motion.go, f"{self._motion.values['trajectory.type']} begins")),
+                ('stop', lambda: self._answer(self._motion.brake, 'comes to rest')),
+                ('reset', self._reset),
+                ('release', lambda: self._answer(self._motion.let_go, 'zero torque'))):
+            handler = self.health.guard(trigger(name, act))
+            self.create_service(Trigger, f'~/{name}', handler)
+            self.direct.services[self.resolve_service_name(f'~/{name}')] = handler
 
     def _serve_action(self):
         if joint_trajectory.FollowJointTrajectory is None:
