@@ -11,10 +11,10 @@ from gms_flex_control.identification.arm_fit import estimate_arm
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.axis_fit import (
+    axis_samples,
     fit_axis,
     held_torque,
-    rows_of,
-    rows_that_agree,
+    samples_that_agree,
 )
 from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of, IN_PLANE
@@ -32,7 +32,7 @@ ALL = IdentifyOptions(estimate='all', blocks=(1, 3))
 def test_inertia_gravity_and_a_constant_torque_are_those_a_pendulum_was_made_with(pull, constant):
     """Neither gravity nor a constant is made up; one too large for asymmetric friction is one."""
     recorded = pendulum(pull=pull, constant=constant)
-    fit = fit_axis(rows_of([recorded], held_torque(0), 0), 'swing', 'here')
+    fit = fit_axis(axis_samples([recorded], held_torque(0), 0), 'swing', 'here')
     assert fit.has_gravity == (pull > 0.0) and fit.per_load == 0.0
     assert fit.inertia == pytest.approx(0.02, rel=0.02)
     assert fit.constant == pytest.approx(constant, rel=0.03)
@@ -46,7 +46,7 @@ def test_a_bent_torque_is_no_gravity_that_a_constant_torque_takes_away():
     recorded = pendulum(pull=0.0)
     angle = 0.5 * recorded.q_link
     recorded = replace(recorded, q_link=angle, tau_motor=recorded.tau_motor + 0.015 * angle ** 2)
-    fit = fit_axis(rows_of([recorded], held_torque(0), 0), 'swing', 'here')
+    fit = fit_axis(axis_samples([recorded], held_torque(0), 0), 'swing', 'here')
     assert (fit.has_gravity, fit.constant) == (False, 0.0)
     assert fit.inertia == pytest.approx(0.04, rel=0.05)
     assert fit.friction == pytest.approx(0.08, rel=0.2)  # viscous part included
@@ -59,7 +59,7 @@ def test_gravity_that_is_there_without_a_constant_torque_is_taken_beside_a_bent_
                          np.full(60, 60.0 ** -0.5), 'valid')[:, None]
     bent = 0.15 * np.sin(take.q_link) + 0.05 * (1.0 - np.cos(take.q_link)) + 0.05 * wander
     take = replace(take, tau_motor=take.tau_motor + bent)
-    fit = fit_axis(rows_of([take], held_torque(0), 0), 'swing', 'here')
+    fit = fit_axis(axis_samples([take], held_torque(0), 0), 'swing', 'here')
     assert fit.has_gravity and fit.sine == pytest.approx(0.15, rel=0.1)
     assert fit.inertia == pytest.approx(0.02, rel=0.03)
 
@@ -72,7 +72,7 @@ def test_inertia_and_gravity_are_those_below_the_resonance_of_what_carries_the_a
     torque[1:] = 0.5 * (torque[1:] + torque[:-1])
     take = replace(take, q_link=take.q_link + shaken[:, None],
                    tau_motor=take.tau_motor + torque[:, None])
-    fit = fit_axis(rows_that_agree([take], held_torque(0), 0, True), 'swing', 'here')
+    fit = fit_axis(samples_that_agree([take], held_torque(0), 0, True), 'swing', 'here')
     assert fit.inertia == pytest.approx(0.02, rel=0.1)
     assert fit.gravity_torque == pytest.approx(0.5, rel=0.1)
 
@@ -98,8 +98,9 @@ def test_motion_one_way_has_no_constant_torque_beside_friction():
     forward = np.cumsum(np.abs(np.diff(recorded.q_link[:, 0], prepend=recorded.q_link[0, 0])))
     rate = np.gradient(forward, recorded.time)
     torque = 0.06 + 0.01 * rate + 0.02 * np.gradient(rate, recorded.time)
-    fit = fit_axis(rows_of([replace(recorded, q_link=forward[:, None], tau_motor=torque[:, None])],
-                           held_torque(0), 0), 'swing', 'here')
+    fit = fit_axis(axis_samples(
+        [replace(recorded, q_link=forward[:, None], tau_motor=torque[:, None])],
+        held_torque(0), 0), 'swing', 'here')
     assert fit.constant == 0.0
     assert fit.friction == pytest.approx(0.06 + 0.01 * np.median(rate), rel=0.1)
 
@@ -107,8 +108,9 @@ def test_motion_one_way_has_no_constant_torque_beside_friction():
 def test_a_torque_that_never_changes_shows_no_inertia():
     recorded = pendulum()
     with pytest.raises(IdentificationError, match='never changes'):
-        fit_axis(rows_of([replace(recorded, tau_motor=np.full_like(recorded.tau_motor, 0.3))],
-                         held_torque(0), 0), 'swing', 'here')
+        fit_axis(axis_samples(
+            [replace(recorded, tau_motor=np.full_like(recorded.tau_motor, 0.3))],
+            held_torque(0), 0), 'swing', 'here')
 
 
 def test_a_ripple_of_the_gear_is_found_and_friction_is_not_bent_by_it():
@@ -152,7 +154,7 @@ def varying(recorded, size, order, phase=0.0):
 def test_friction_by_load_is_found_beside_little_that_varies_with_the_angle(order, size):
     """Which friction that varies with the angle alone then follows a little better."""
     recorded = varying(pendulum(per_load=0.15, offset=0.0, pace=0.3), size, order, 1.0)
-    fit = fit_axis(rows_of([recorded], held_torque(0), 0), 'swing', 'here')
+    fit = fit_axis(axis_samples([recorded], held_torque(0), 0), 'swing', 'here')
     assert fit.per_load == pytest.approx(0.15, rel=0.2)
 
 
@@ -160,7 +162,7 @@ def test_friction_by_load_is_found_beside_little_that_varies_with_the_angle(orde
 @pytest.mark.parametrize('order', [1, 2])
 def test_friction_that_varies_with_the_angle_is_not_called_friction_by_load(order, phase):
     recorded = varying(pendulum(), 0.03, order, phase)
-    fit = fit_axis(rows_of([recorded], held_torque(0), 0), 'swing', 'here')
+    fit = fit_axis(axis_samples([recorded], held_torque(0), 0), 'swing', 'here')
     assert fit.per_load == 0.0
 
 

@@ -108,12 +108,14 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     joints, arm, effects = [], robot.arm, []
     for j, name in enumerate(robot.joints):
         source, turns = recordings[0].source, arm.axes == 'rotary'
-        rows = axis_fit.rows_that_agree(recordings, _drive_of(recordings, robot.arm, j), j, turns)
-        axis, ripple = axis_fit.fit_axis_with_ripple(recordings, rows, j, name, source, turns)
+        drive = _drive_of(recordings, robot.arm, j)
+        samples = axis_fit.samples_that_agree(recordings, drive, j, turns)
+        axis, ripple = axis_fit.fit_axis_with_ripple(
+            recordings, samples, j, name, source, turns)
         effects += [ripple.effect(name)] if ripple else []
         # where none is seen, one that needs a small part of the torque: with much less, the blocks
         # of friction would be too stiff for the samples
-        least = _LIGHT * np.std(rows.torque) / max(np.std(rows.acceleration), 1e-300)
+        least = _LIGHT * np.std(samples.torque) / max(np.std(samples.acceleration), 1e-300)
         inertia = axis.inertia if axis.inertia_known else float(least)
         arm = with_axis(arm, j, inertia, axis.cosine, axis.sine)
         size = np.array([inertia, axis.gravity_torque, axis.gravity_torque, axis.constant])
@@ -125,12 +127,12 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
 
 def _of_chain(recordings, robot, motors):
     fit = fit_base_parameters(recordings, robot)
-    rows = base_estimates(fit, robot.joints)
+    estimates = base_estimates(fit, robot.joints)
     for j, motor in enumerate(motors):
-        rows[j] = (*rows[j], *motor_estimates(motor, robot, j))
+        estimates[j] = (*estimates[j], *motor_estimates(motor, robot, j))
     if not fit.differences.prior_sd.any():
-        rows[0] += (_SCALE,)
-    return ArmFit(replace(robot, arm=fit.arm), tuple(map(JointArm, motors)), tuple(rows),
+        estimates[0] += (_SCALE,)
+    return ArmFit(replace(robot, arm=fit.arm), tuple(map(JointArm, motors)), tuple(estimates),
                   fit.differences if robot.arm.frames else None, fit.spread)
 
 

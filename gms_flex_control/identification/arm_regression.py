@@ -28,7 +28,7 @@ from gms_flex_control.identification.arm_differences import (
     relative_change,
     Unknowns,
 )
-from gms_flex_control.identification.arm_rows import described_scales, rows_of, SLIPS
+from gms_flex_control.identification.arm_samples import arm_samples, described_scales, SLIPS
 from gms_flex_control.identification.axis_fit import COULOMB
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
@@ -113,14 +113,14 @@ class _Regression(NamedTuple):
     step: np.ndarray    # (P,)
     normal: np.ndarray  # (P, P)
     pieces: list        # of `regress`
-    moving: list        # rows of each joint that count
+    moving: list        # which samples of each joint count, bool (S,)
 
 
 class ArmRegression:
     """
-    Least squares of one set of rows; a ``base`` without parameters relies on the links.
+    Least squares of one set of samples; a ``base`` without parameters relies on the links.
 
-    ``friction`` is that of `arm_rows.rows_of`, ``spring_sd`` (n,) of scales of a spring's torque.
+    ``friction`` is that of `arm_samples`, ``spring_sd`` (n,) of scales of a spring's torque.
     """
 
     _settles = True   # scales have to
@@ -133,7 +133,7 @@ class ArmRegression:
         temperatures = [one.operation.temperature for one in recordings]
         self._labels = tuple(dict.fromkeys(temperatures))  # those alike have the same friction
         self._label = np.array([self._labels.index(one) for one in temperatures])
-        self._rows, self._usual = rows_of(recordings, robot, sides, arm, base.lead, [
+        self._samples, self._usual = arm_samples(recordings, robot, sides, arm, base.lead, [
             carrying(slopes_of or arm, (loads or {}).get(r, one.operation.load))
             for r, one in enumerate(recordings)], friction, self._slips)
         n, scale_sd = arm.n_joints, np.max([one.scale_sd for one in recordings], axis=0)
@@ -152,25 +152,25 @@ class ArmRegression:
         self._guess, unknown = np.ones(n), np.flatnonzero(np.isinf(scale_sd))
         if len(unknown):
             self._guess[unknown], self._prior_sd[unknown] = described_scales(
-                self._rows, self._torque(), self._own, unknown,
+                self._samples, self._torque(), self._own, unknown,
                 [f'{recordings[0].source}: the torque of {joint}' for joint in robot.joints])
         self._at.scale[:] = self._guess
         self._memory = 1.0
         self._last = None  # the _Regression of the last step
 
     def _parts(self, j, chosen):
-        """Return what is eliminated for a joint: dict of str to columns (S', F)."""
-        rows, recording = self._rows, self._rows.recording[chosen]
-        friction = rows.friction[chosen, j]
+        """Return what is eliminated for a joint: dict of str to regressors (S', F)."""
+        samples, recording = self._samples, self._samples.recording[chosen]
+        friction = samples.friction[chosen, j]
         change = [alike(friction) * (self._label[recording] == k)[:, None]  # no offset
                   for k in range(1, len(self._labels))]
         parts = {FRICTION: friction, 'change': np.concatenate([friction[:, :0], *change], axis=1),
                  'offset': (recording[:, None] == np.arange(1, len(self._at.zeros))).astype(float),
-                 'turning': rows.turning[chosen, j]}
+                 'turning': samples.turning[chosen, j]}
         if self._loaded[j]:
             parts[LOAD] = self._load_column(j)[chosen, None]
         if self._sides[j] == 'motor':  # by how much later its torque is recorded than angles
-            parts[DELAY] = rows.change[chosen, j:j + 1]
+            parts[DELAY] = samples.change[chosen, j:j + 1]
         return parts
 
     def _own(self, j, chosen):
@@ -185,21 +185,21 @@ class ArmRegression:
         links' weight is in it. ``_memory`` samples count as one, and this one as many.
         """
         row = np.zeros((1, self._own(j, slice(0, 1)).shape[1]))
-        sd = max(_ASYMMETRY_SD * np.sqrt(np.mean(self._rows.torque[:, j] ** 2)), 1e-12)
+        sd = max(_ASYMMETRY_SD * np.sqrt(np.mean(self._samples.torque[:, j] ** 2)), 1e-12)
         row[0, COULOMB] = np.array([0.5, -0.5]) * np.sqrt(self._memory) / sd  # friction is first
         return row
 
     def _load_column(self, j):
         """Return the size of the torque that moves a link, against the motion (S,)."""
-        return np.sign(self._rows.rate[:, j]) * np.abs(self._at.scale[j] * self._torque()[:, j])
+        return np.sign(self._samples.rate[:, j]) * np.abs(self._at.scale[j] * self._torque()[:, j])
 
     def _torque(self):
         """Return the torque of the links at the present values (S, n) [N m]."""
-        rows = self._rows
-        moved = np.einsum('sji,si->sj', rows.slope, self._at.zeros[rows.recording])
-        carried = np.einsum('sjk,sk->sj', rows.tip, self._at.loads[rows.recording])
-        return (rows.known + rows.regressor @ self._at.links + carried + moved
-                + rows.coupled @ self._at.coupled)
+        samples = self._samples
+        moved = np.einsum('sji,si->sj', samples.slope, self._at.zeros[samples.recording])
+        carried = np.einsum('sjk,sk->sj', samples.tip, self._at.loads[samples.recording])
+        return (samples.known + samples.regressor @ self._at.links + carried + moved
+                + samples.coupled @ self._at.coupled)
 
     def solve(self) -> None:
         """Find parameters, zeros and scales; then once more where friction grows with load."""
@@ -214,26 +214,28 @@ class ArmRegression:
 
     def _tried_load(self, j):
         """Return what friction adds per torque carried at one joint, and its standard error."""
-        left, rows = self._left(j)
-        others = [part for name, part in self._parts(j, rows).items() if name != LOAD]
-        columns = np.concatenate([self._load_column(j)[rows, None], *others], axis=1)
-        return robust_regression.first_coefficient(columns, left, self._rows.block[rows], _MEMORY)
+        left, moving = self._left(j)
+        others = [part for name, part in self._parts(j, moving).items() if name != LOAD]
+        regressors = np.concatenate([self._load_column(j)[moving, None], *others], axis=1)
+        return robust_regression.first_coefficient(
+            regressors, left, self._samples.block[moving], _MEMORY)
 
     def _left(self, j):
-        """Return the torque that links do not explain where a joint moves, and these rows."""
-        rows = self._last.moving[j]
-        left = self._rows.torque[:, j] - self._at.scale[j] * self._torque()[:, j]
-        return left[rows], rows
+        """Return the torque that links do not explain where a joint moves, and where that is."""
+        moving = self._last.moving[j]
+        left = self._samples.torque[:, j] - self._at.scale[j] * self._torque()[:, j]
+        return left[moving], moving
 
     def _coefficients(self, j, without=(), **beside):
         """
-        Return coefficients (F,) of a joint's own columns, dict by name, and what these leave.
+        Return coefficients (F,) of a joint's own regressors, dict by name, and what these leave.
 
-        Parts ``without`` are left away, ``beside`` are further ones, columns (S, n, F).
+        Parts ``without`` are left away, ``beside`` are further ones (S, n, F).
         """
-        left, rows = self._left(j)
-        parts = {name: part for name, part in self._parts(j, rows).items() if name not in without}
-        parts |= {name: part[rows, j] for name, part in beside.items()}
+        left, moving = self._left(j)
+        parts = {name: part for name, part in self._parts(j, moving).items()
+                 if name not in without}
+        parts |= {name: part[moving, j] for name, part in beside.items()}
         own = np.concatenate(list(parts.values()), axis=1)
         values = np.linalg.lstsq(own, left, rcond=1e-10)[0]
         ends = np.cumsum([part.shape[1] for part in parts.values()])
@@ -245,24 +247,24 @@ class ArmRegression:
                          for j in range(len(self._sides))])
 
     def _iterate(self):
-        rows, layout, at = self._rows, self._layout, self._at
+        samples, layout, at = self._samples, self._layout, self._at
         weighting, before, share = None, np.zeros(layout.coupled.stop), 1.0
         for _ in range(_ROUNDS):
             precision, model = self._precision(), self._torque()
-            columns = self._columns(model)
+            derivatives = self._derivatives(model)
             pull = np.zeros(len(precision))
             pull[layout.links] = self._links - at.links
             pull[layout.zeros] = -at.zeros[1:].ravel()
             pull[layout.scales] = np.log(self._guess / at.scale)[layout.free]
             pull[layout.loads] = -at.loads[layout.unknown].ravel()
             pull[layout.coupled] = -at.coupled
-            left = rows.torque - at.scale * model
+            left = samples.torque - at.scale * model
             weighting = weighting or robust_regression.weighting_of(
-                columns, left, rows.rate, self._own, rows.recording)
+                derivatives, left, samples.rate, self._own, samples.recording)
             self._last = _Regression(*robust_regression.regress(
-                columns, left, rows.block, self._own, weighting, precision, pull,
+                derivatives, left, samples.block, self._own, weighting, precision, pull,
                 self._expected if len(self._base.lead) else None),
-                [rows for rows, _ in weighting])
+                [moving for moving, _ in weighting])
             turned = self._last.step @ self._last.normal @ before < 0.0
             share = max(0.5 * share, _LEAST_SHARE) if turned else min(1.5 * share, 1.0)
             before = self._last.step
@@ -285,7 +287,7 @@ class ArmRegression:
 
     def _precision(self):
         """Return the inverse prior variances (P,) of the unknowns."""
-        rows, layout = self._rows, self._layout
+        samples, layout = self._samples, self._layout
         precision = np.zeros(layout.coupled.stop)
         precision[layout.zeros] = _ZERO_SD ** -2
         precision[layout.scales] = robust_regression.heavy_tailed(
@@ -295,19 +297,20 @@ class ArmRegression:
             _LOAD_SD * (body if load is None else load.mass * OF_BODY * np.append(
                 _WEIGHED, np.ones(9))) for load in self._known_loads)]) ** -2.0
         precision[layout.links] = (_VAGUE_SD * sizes_of_body(self._arm)[self._base.lead]) ** -2.0
-        precision[layout.coupled] = np.sum(rows.coupled ** 2, axis=(0, 1)) / np.sum(
-            rows.torque[:, layout.shared] ** 2)
+        precision[layout.coupled] = np.sum(samples.coupled ** 2, axis=(0, 1)) / np.sum(
+            samples.torque[:, layout.shared] ** 2)
         return precision
 
-    def _columns(self, model):
+    def _derivatives(self, model):
         """Return derivatives (S, n, P) by parameters, zeros, logarithms of scales and loads."""
-        rows, (samples, n) = self._rows, model.shape
-        zeros = np.zeros((samples, n, len(self._at.zeros), n))
-        zeros[np.arange(samples), :, rows.recording] = rows.slope
+        samples, (count, n) = self._samples, model.shape
+        zeros = np.zeros((count, n, len(self._at.zeros), n))
+        zeros[np.arange(count), :, samples.recording] = samples.slope
         scales = (model[:, :, None] * np.eye(n))[:, :, self._layout.free]
-        loads = [rows.tip * (rows.recording == r)[:, None, None] for r in self._layout.unknown]
-        whole = np.concatenate([rows.regressor, zeros[:, :, 1:].reshape(samples, n, -1), scales,
-                                *loads, rows.coupled], axis=2)
+        loads = [samples.tip * (samples.recording == r)[:, None, None]
+                 for r in self._layout.unknown]
+        whole = np.concatenate([samples.regressor, zeros[:, :, 1:].reshape(count, n, -1), scales,
+                                *loads, samples.coupled], axis=2)
         return self._at.scale[:, None] * whole
 
     def _scatter(self):
@@ -381,7 +384,7 @@ class ArmRegression:
     def differences(self) -> Differences:
         """Return the Differences of the recordings."""
         n, error = len(self._at.scale), np.sqrt(np.diag(self._covariance[0]))
-        rows = self._rows
+        samples = self._samples
         scale_sd, zero_sd = np.zeros(n), np.zeros(self._at.zeros.shape)
         scale_sd[self._layout.free] = error[self._layout.scales]
         zero_sd[1:] = error[self._layout.zeros].reshape(zero_sd[1:].shape)
@@ -393,7 +396,7 @@ class ArmRegression:
             offset[1:, j] = values['offset']
             change[1:, j] = values['change'].reshape(-1, 4)
             level[1:, j] = 1.0 + relative_change(
-                rows.friction[:, j], rows.rate[:, j], self._label[rows.recording],
+                samples.friction[:, j], samples.rate[:, j], self._label[samples.recording],
                 values[FRICTION], change[1:, j])
             if self._loaded[j]:
                 loaded[:, j] = self._tried_load(j)

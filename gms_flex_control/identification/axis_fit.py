@@ -4,7 +4,7 @@ A single joint by linear regression of its torque: inertia, gravity, ripple.
 
 ``u = I q'' + a cos q + b sin q + friction(q')`` holds for torque, angle and its derivatives alike
 when all pass through the same zero-phase filter. Only moving samples count. Friction stands by
-as columns of its own, each direction for itself: Coulomb, viscous, and a part that fades with
+as regressors of its own, each direction for itself: Coulomb, viscous, and a part that fades with
 speed, so that the rise at low speed does not end up in inertia or gravity. A constant torque
 looks like friction that differs between the directions, and stays with it, unless friction would
 then have to be several times larger one way than the other.
@@ -36,7 +36,7 @@ FEWEST = 60        # samples, moving
 _SURELY = 3.0      # standard errors, and part of an inertia, by which a wider filter must show
 _LARGER = 0.25     # more of it
 _WIDEST = 4        # times the usual filter
-COULOMB = [0, 4]   # columns of friction_regressors of Coulomb friction forward and backward
+COULOMB = [0, 4]   # of friction_regressors, those of Coulomb friction forward and backward
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there, or if cancelled
@@ -126,7 +126,7 @@ def filtered(recordings: Sequence, signals_of: Callable, wider: int = 1) -> Gene
             yield signals, block
 
 
-def rows_of(recordings: Sequence, drive: Callable, joint: int, wider: int = 1) -> AxisSamples:
+def axis_samples(recordings: Sequence, drive: Callable, joint: int, wider: int = 1) -> AxisSamples:
     """Return `filtered` AxisSamples, moving or not, ``drive`` Recording -> torque (T,)."""
     parts = [(motion.value, motion.first, motion.second, torque.value, block)
              for (motion, torque), block in filtered(recordings, lambda one: (
@@ -136,35 +136,36 @@ def rows_of(recordings: Sequence, drive: Callable, joint: int, wider: int = 1) -
     return AxisSamples(*(np.concatenate(part) for part in zip(*parts, strict=True)), wider)
 
 
-def rows_that_agree(recordings: Sequence, drive: Callable, joint: int, turns: bool) -> AxisSamples:
+def samples_that_agree(recordings: Sequence, drive: Callable, joint: int,
+                       turns: bool) -> AxisSamples:
     """
-    Return `rows_of` behind the least filter whose inertia a wider one confirms.
+    Return `axis_samples` behind the least filter whose inertia a wider one confirms.
 
     What holds for torque and motion holds behind every filter. Where a joint, or what carries it,
     swings on a spring that nothing measures, it does not near the resonance: the inertia looks
     smaller there, and gravity, where the axis ``turns``, hides in what is left.
     """
-    rows = rows_of(recordings, drive, joint)
-    inertia, error = _any_inertia(rows, turns)
-    while rows.wider < _WIDEST and np.isfinite(inertia):
-        wider = rows_of(recordings, drive, joint, 2 * rows.wider)
+    samples = axis_samples(recordings, drive, joint)
+    inertia, error = _any_inertia(samples, turns)
+    while samples.wider < _WIDEST and np.isfinite(inertia):
+        wider = axis_samples(recordings, drive, joint, 2 * samples.wider)
         other, other_error = _any_inertia(wider, turns)
         if not other - inertia > max(_SURELY * np.hypot(error, other_error), _LARGER * inertia):
             break
-        rows, inertia, error = wider, other, other_error
-    return rows
+        samples, inertia, error = wider, other, other_error
+    return samples
 
 
-def _any_inertia(rows, turns):
-    """Return the inertia beside all that may be there, and its standard error; NaN of few rows."""
-    moves = _in_motion(rows)
+def _any_inertia(samples, turns):
+    """Return the inertia beside all that may be there, and its error; NaN of few samples."""
+    moves = _in_motion(samples)
     if moves.sum() < FEWEST:
         return np.nan, np.nan
-    rate, angle = rows.rate[moves], rows.angle[moves]
+    rate, angle = samples.rate[moves], samples.angle[moves]
     gravity = [np.cos(angle), np.sin(angle)] if turns else []
     values, errors = solution(
-        np.column_stack([rows.acceleration[moves], *gravity, friction_regressors(rate)]),
-        rows.torque[moves], rows.block[moves])
+        np.column_stack([samples.acceleration[moves], *gravity, friction_regressors(rate)]),
+        samples.torque[moves], samples.block[moves])
     return values[0], errors[0]
 
 
@@ -184,20 +185,20 @@ def spring_torque(joint: int, stiffness: float, damping=0.0) -> Callable:
 
 
 def friction_regressors(rate: np.ndarray, usual: float | None = None) -> np.ndarray:
-    """Return columns of friction (S, 8), by direction; low-speed ones fade by ``usual`` (rms)."""
+    """Return regressors of friction (S, 8), by direction; some fade by ``usual`` (rms)."""
     usual = float(np.sqrt(np.mean(rate ** 2))) if usual is None else usual
-    columns = []
+    regressors = []
     for sign in (1.0, -1.0):
         on = sign * (np.sign(rate) == sign)
-        columns += [on, on * np.abs(rate), *(on * np.exp(-np.abs(rate) / (part * usual))
-                                             for part in _FADING)]
-    return np.stack(columns, axis=1)
+        regressors += [on, on * np.abs(rate), *(
+            on * np.exp(-np.abs(rate) / (part * usual)) for part in _FADING)]
+    return np.stack(regressors, axis=1)
 
 
 class _Model(NamedTuple):
     """Columns (S, C) of the torque: inertia, gravity or none, friction, ripple, load or none."""
 
-    columns: np.ndarray
+    regressors: np.ndarray
     gravity: slice
     friction: slice
     wave: slice
@@ -205,49 +206,50 @@ class _Model(NamedTuple):
     off: float    # robust error on data held out [N m]
 
 
-def fit_axis(rows: AxisSamples, joint: str, source: str, wave: np.ndarray | None = None,
+def fit_axis(samples: AxisSamples, joint: str, source: str, wave: np.ndarray | None = None,
              turns: bool = True) -> AxisFit:
     """Fit inertia and, where it ``turns``, gravity of an axis, beside the ``wave`` of a ripple."""
-    moving = _moving(rows, joint, source)
-    rows = AxisSamples(*(part[moving] for part in rows[:-1]))
-    model = _model(rows, np.empty((len(rows.rate), 0)) if wave is None else wave[moving], turns)
-    values, error = solution(model.columns, rows.torque, rows.block)
+    moving = _moving(samples, joint, source)
+    samples = AxisSamples(*(part[moving] for part in samples[:-1]))
+    wave = np.empty((len(samples.rate), 0)) if wave is None else wave[moving]
+    model = _model(samples, wave, turns)
+    values, error = solution(model.regressors, samples.torque, samples.block)
     known = values[0] > CONFIDENT * error[0]
     if not known:  # what is no inertia must not bend the rest
-        kept, wide = solution(model.columns[:, 1:], rows.torque, rows.block)
+        kept, wide = solution(model.regressors[:, 1:], samples.torque, samples.block)
         values, error = np.append(0.0, kept), np.append(error[0], wide)
 
     def torque_of(part):
-        return model.columns[:, part] @ values[part]
-    rest = rows.torque - torque_of(slice(None))
+        return model.regressors[:, part] @ values[part]
+    rest = samples.torque - torque_of(slice(None))
     left, rippling = np.zeros((2, len(moving)))
     left[moving], rippling[moving] = rest, torque_of(model.wave)
     found = np.zeros((2, 4))
     count = model.gravity.stop
     found[:, :count] = values[:count], error[:count]
-    friction, both_ways = torque_of(model.friction), np.ptp(np.sign(rows.rate)) > 0.0
-    levels = _levels(friction + torque_of(model.load), rows.rate)
+    friction, both_ways = torque_of(model.friction), np.ptp(np.sign(samples.rate)) > 0.0
+    levels = _levels(friction + torque_of(model.load), samples.rate)
     constant = 0.5 * (levels[0] - levels[1])
     if both_ways and _is_lopsided(levels) and abs(constant) > CONFIDENT * error[count]:
         found[:, 3] = constant, error[count]
-    torque = float(np.std(rows.torque)) or 1.0
+    torque = float(np.std(samples.torque)) or 1.0
     return AxisFit(
         *map(float, found[0]), error=found[1], has_gravity=count > 1,
-        friction=max(sum(_levels(friction, rows.rate)) / (1.0 + both_ways), _LEAST * torque),
+        friction=max(sum(_levels(friction, samples.rate)) / (1.0 + both_ways), _LEAST * torque),
         explained=float(1.0 - np.var(rest) / torque ** 2), inertia_known=bool(known),
-        share=float(values[0] * np.std(rows.acceleration) / torque), left=left,
+        share=float(values[0] * np.std(samples.acceleration) / torque), left=left,
         rippling=rippling, wave=values[model.wave], off=model.off,
         wave_error=float(np.sqrt(np.sum(error[model.wave] ** 2))),
         per_load=float(values[model.load].sum()))
 
 
-def _moving(rows, joint, source):
-    """Return in which rows an axis moves, bool (S,); IdentificationError where that shows none."""
-    moving = _in_motion(rows)
+def _moving(samples, joint, source):
+    """Return which samples move, bool (S,); IdentificationError where that shows none."""
+    moving = _in_motion(samples)
     if moving.sum() < FEWEST:
         raise IdentificationError(f'{source}: {joint} moves in {moving.sum()} samples only; '
                                   'record longer motion to identify its inertia')
-    torque = rows.torque[moving]
+    torque = samples.torque[moving]
     if np.ptp(torque) <= _CONSTANT * np.abs(torque).max():
         raise IdentificationError(f'{source}: the torque of {joint} never changes '
                                   f'({torque[0]:.3g} N m) while it moves, which shows no '
@@ -255,40 +257,40 @@ def _moving(rows, joint, source):
     return moving
 
 
-def _in_motion(rows):
-    """Return in which rows an axis moves, bool (S,)."""
-    return np.abs(rows.rate) > SLOWEST * np.sqrt(np.mean(rows.rate ** 2))
+def _in_motion(samples):
+    """Return which samples move, bool (S,)."""
+    return np.abs(samples.rate) > SLOWEST * np.sqrt(np.mean(samples.rate ** 2))
 
 
-def _model(rows, wave, turns):
-    """Return the _Model of rows that move, gravity and friction by load where they help."""
-    columns, off, has_gravity = _columns_of(rows, wave, turns)
-    plain, count = columns.shape[1], 3 if has_gravity else 1
+def _model(samples, wave, turns):
+    """Return the _Model of samples that move, gravity and friction by load where they help."""
+    regressors, off, has_gravity = _regressors_of(samples, wave, turns)
+    plain, count = regressors.shape[1], 3 if has_gravity else 1
     if has_gravity:
-        columns, off = _with_load(columns, rows, off)
+        regressors, off = _with_load(regressors, samples, off)
     at = plain - wave.shape[1]
-    return _Model(columns, slice(1, count), slice(count, at), slice(at, plain),
-                  slice(plain, columns.shape[1]), off)
+    return _Model(regressors, slice(1, count), slice(count, at), slice(at, plain),
+                  slice(plain, regressors.shape[1]), off)
 
 
-def _columns_of(rows, waves, turns):
+def _regressors_of(samples, waves, turns):
     """
-    Return the columns that explain the torque, their held-out error, and whether gravity is there.
+    Return the regressors of the torque, their held-out error, and whether gravity is there.
 
     Inertia comes first, then cosine and sine of gravity, friction, and ``waves`` (S, W).
     """
-    gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
-    inertia, friction = rows.acceleration[:, None], friction_regressors(rows.rate)
+    gravity = np.stack([np.cos(samples.angle), np.sin(samples.angle)], axis=1)
+    inertia, friction = samples.acceleration[:, None], friction_regressors(samples.rate)
     forward, backward = np.split(friction, 2, axis=1)
-    either, constant = forward + backward, np.ones((len(rows.rate), 1))
+    either, constant = forward + backward, np.ones((len(samples.rate), 1))
     tries = [
         np.concatenate([inertia, *parts, waves], axis=1) for parts in (
             (gravity, friction), (gravity, either), (friction,), (constant, either))]
     both, alike, others, _ = tries
     with_gravity, with_alike, off, level_off = (
-        held_out_error(one, rows.torque, rows.block) for one in tries)
-    worth = _WORTH if np.ptp(rows.angle) > _NARROW else _CLEAR
-    cancelled = _is_cancelled(both, others, rows, waves.shape[1])
+        held_out_error(one, samples.torque, samples.block) for one in tries)
+    worth = _WORTH if np.ptp(samples.angle) > _NARROW else _CLEAR
+    cancelled = _is_cancelled(both, others, samples, waves.shape[1])
     if turns and with_gravity < (_CLEAR if cancelled else worth) * off:
         return both, with_gravity, True
     # what a constant torque takes away is no gravity, unless friction alike both ways leaves it
@@ -299,43 +301,45 @@ def _columns_of(rows, waves, turns):
     return alike, with_alike, True
 
 
-def _is_cancelled(both, others, rows, waves):
+def _is_cancelled(both, others, samples, waves):
     """
-    Return whether friction is lopsided with gravity (columns ``both``) and is not without.
+    Return whether friction is lopsided with gravity (``both``) and is not without.
 
     A constant torque then takes away most of it: gravity bends the least where it is largest.
     """
     lopsided = []
-    for columns, count in ((others, 1), (both, 3)):
-        values = solution(columns, rows.torque, rows.block)[0]
-        friction = slice(count, columns.shape[1] - waves)
-        lopsided.append(_is_lopsided(_levels(columns[:, friction] @ values[friction], rows.rate)))
+    for regressors, count in ((others, 1), (both, 3)):
+        values = solution(regressors, samples.torque, samples.block)[0]
+        friction = slice(count, regressors.shape[1] - waves)
+        torque = regressors[:, friction] @ values[friction]
+        lopsided.append(_is_lopsided(_levels(torque, samples.rate)))
     return lopsided[1] and not lopsided[0]
 
 
-def _with_load(columns, rows, off):
+def _with_load(regressors, samples, off):
     """
-    Return the columns and their held-out error, with that of friction by load if it is there.
+    Return the regressors and their held-out error, with that of friction by load if it is there.
 
-    What is carried is the torque that the columns explain, not the measured one, whose noise
+    What is carried is the torque that they explain, not the measured one, whose noise
     would explain itself. Friction that varies with the angle must not explain clearly more of the
     variance: under gravity both change together, and its four numbers follow whatever else there
     is.
     """
-    carried, count = columns @ solution(columns, rows.torque, rows.block)[0], columns.shape[1]
+    carried = regressors @ solution(regressors, samples.torque, samples.block)[0]
+    count = regressors.shape[1]
     for _ in range(_LOADINGS):
-        grown = np.column_stack([columns, np.abs(carried) * np.sign(rows.rate)])
-        values, error = solution(grown, rows.torque, rows.block)
+        grown = np.column_stack([regressors, np.abs(carried) * np.sign(samples.rate)])
+        values, error = solution(grown, samples.torque, samples.block)
         carried = grown @ values
     if values[count] < max(CONFIDENT * error[count], _LEAST):
-        return columns, off
-    with_load = held_out_error(grown, rows.torque, rows.block)
-    placed = np.sign(rows.rate) * np.array([
-        wave(order * rows.angle) for order in _PLACES for wave in (np.cos, np.sin)])
-    rival = held_out_error(np.column_stack([columns, placed.T]), rows.torque, rows.block)
+        return regressors, off
+    with_load = held_out_error(grown, samples.torque, samples.block)
+    placed = np.sign(samples.rate) * np.array([
+        wave(order * samples.angle) for order in _PLACES for wave in (np.cos, np.sin)])
+    rival = held_out_error(np.column_stack([regressors, placed.T]), samples.torque, samples.block)
     explained, rivals = (off ** 2 - one ** 2 for one in (with_load, rival))
     is_there = with_load < _WORTH * off and explained > _WORTH * rivals
-    return (grown, with_load) if is_there else (columns, off)
+    return (grown, with_load) if is_there else (regressors, off)
 
 
 def _is_lopsided(levels):
@@ -349,19 +353,19 @@ def _levels(friction, rate):
             if (np.sign(rate) == sign).any() else 0.0 for sign in (1.0, -1.0)]
 
 
-def fit_axis_with_ripple(recordings: Sequence, rows: AxisSamples, joint: int, name: str,
+def fit_axis_with_ripple(recordings: Sequence, samples: AxisSamples, joint: int, name: str,
                          source: str, turns: bool = True) -> tuple:
     """Return `fit_axis` with its largest Ripple, and that, None where none helps held-out data."""
-    axis, span = fit_axis(rows, name, source, turns=turns), float(np.ptp(rows.angle))
-    orders = analysis.standing_out([rows.angle], [axis.left], [rows.rate],
+    axis, span = fit_axis(samples, name, source, turns=turns), float(np.ptp(samples.angle))
+    orders = analysis.standing_out([samples.angle], [axis.left], [samples.rate],
                                    2.0 * np.pi * FEWEST_WAVES / max(span, 1e-300))
     if not orders:
         return axis, None
     found, order = axis, orders[0]
-    waves_at = partial(_waves_of, recordings, joint, rows.wider)
+    waves_at = partial(_waves_of, recordings, joint, samples.wider)
     for _ in range(_RIPPLE_ROUNDS):
         order = _nearest_best(waves_at, found.left + found.rippling, order, span)
-        found = fit_axis(rows, name, source, waves_at(order), turns)
+        found = fit_axis(samples, name, source, waves_at(order), turns)
     size = float(np.hypot(*found.wave))
     if found.off > _WORTH * axis.off or size < _RIPPLE_CLEAR * found.wave_error:
         return axis, None
@@ -384,7 +388,7 @@ def _nearest_best(waves_at, torque, order, span):
 
 
 def _waves_of(recordings, joint, wider, order):
-    """Return sine and cosine of ``order`` times the angle, filtered as rows_of does, (S, 2)."""
+    """Return sine and cosine of ``order`` times the angle, filtered as those are, (S, 2)."""
     parts = []
     for recording in recordings:
         angle = recording.q_link[:, joint]

@@ -14,7 +14,7 @@ from gms_flex_control.data.recording import later, Recording
 from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.effects.catalogue.reading import RecordingDelay
 from gms_flex_control.identification.arm_regression import ArmRegression, DELAY, driven_arm
-from gms_flex_control.identification.arm_rows import SLIPS, SPRINGY
+from gms_flex_control.identification.arm_samples import SLIPS, SPRINGY
 from gms_flex_control.identification.assumed_robot import only_joints
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
@@ -201,10 +201,10 @@ class _WithinBelief(ArmRegression):
         super().__init__(recordings, robot, sides, arm, base, **options)
         self._agreed, self._period = agreed, recordings[0].period
         self._commanded = any(one.has_commands for one in recordings)
-        rows, soft = self._rows, slice(len(SLIPS), len(self._slips))
-        self._soft = rows.turning[:, :, soft]
-        self._rows = rows._replace(turning=np.delete(rows.turning, soft, axis=2))
-        self._memory = len(self._rows.block) / _DIFFERENT
+        samples, soft = self._samples, slice(len(SLIPS), len(self._slips))
+        self._soft = samples.turning[:, :, soft]
+        self._samples = samples._replace(turning=np.delete(samples.turning, soft, axis=2))
+        self._memory = len(self._samples.block) / _DIFFERENT
         ten = np.where(np.arange(10) < 4, known_to(robot, 'gravity')[:, None],
                        known_to(robot, 'inertia')[:, None])
         known = np.append(ten.ravel(), known_to(robot, 'motor_inertia')[arm.rigid])

@@ -62,7 +62,8 @@ class ArmSamples(NamedTuple):
     recording: np.ndarray  # (S,) int
 
 
-def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None, slips=SLIPS) -> tuple:
+def arm_samples(recordings, robot, sides, arm, lead, slopes_of, friction=None,
+                slips=SLIPS) -> tuple:
     """
     Return ArmSamples of recordings, ``friction`` (T, n) subtracted, and usual rates; or a refusal.
 
@@ -80,8 +81,8 @@ def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None, slips
     motors = coupled_motors(recordings)
     parts, used, several = [], 0, len(recordings) > 1
     for r, segment in pieces:
-        part = _segment_rows(segment, arm, lead, recordings[r], (usual, slips), motors,
-                             slopes_of[r] if several else None)
+        part = _segment_samples(segment, arm, lead, recordings[r], (usual, slips), motors,
+                                slopes_of[r] if several else None)
         if part is not None:
             parts.append((*part[:-1], part[-1] + used, np.full(len(part[-1]), r)))
             used = parts[-1][-2][-1] + 1
@@ -93,7 +94,7 @@ def rows_of(recordings, robot, sides, arm, lead, slopes_of, friction=None, slips
     return ArmSamples(*(np.concatenate(part) for part in zip(*parts, strict=True))), usual
 
 
-def _segment_rows(segment, arm, lead, recording, ways, motors, slopes_of):
+def _segment_samples(segment, arm, lead, recording, ways, motors, slopes_of):
     """Return what ArmSamples has of a segment, blocks from 0; None of one too short."""
     every = 2 * (segment.window // (2 * _THINNING)) + 1
     window = max(max(segment.window, round(LINKS_WINDOW / recording.period)) // every, 1)
@@ -139,13 +140,13 @@ def _segment_rows(segment, arm, lead, recording, ways, motors, slopes_of):
 
 
 def _friction(segment, every, recording, usual, slips, motors):
-    """Return columns of friction (S, n, 8), of what lags behind it, and of coupled motors."""
+    """Return regressors of friction (S, n, 8), of what lags behind it, and of coupled motors."""
     period = recording.period / _BETWEEN
     rate, angle = (_interpolated(one) for one in (segment.rate, filled(segment.angle)))
 
-    def weighted(columns):
-        columns = uniform_filter1d(columns, 2 * _BETWEEN + 1, axis=0, mode='nearest')
-        return _weighted(columns[::_BETWEEN], every)
+    def weighted(fine):
+        fine = uniform_filter1d(fine, 2 * _BETWEEN + 1, axis=0, mode='nearest')
+        return _weighted(fine[::_BETWEEN], every)
     friction = np.stack([weighted(friction_regressors(*one)) for one in zip(
         rate.T, usual, strict=True)], axis=1)
     turning = np.stack([weighted(_turning(*one, slips, period)) for one in zip(
@@ -159,14 +160,14 @@ def _friction(segment, every, recording, usual, slips, motors):
 
 def _interpolated(values):
     """Return values (S, n) with further ones between the samples."""
-    rows = np.arange(len(values))
+    samples = np.arange(len(values))
     fine = np.arange(_BETWEEN * (len(values) - 1) + 1) / _BETWEEN
-    return np.stack([np.interp(fine, rows, column) for column in values.T], axis=1)
+    return np.stack([np.interp(fine, samples, column) for column in values.T], axis=1)
 
 
 def _turning(angle, rate, usual, ways, period):
     """
-    Return columns (S, K) of friction that depends on the way and the time before.
+    Return regressors (S, K) of friction that depends on the way and the time before.
 
     Where a joint reverses it accelerates most: what is left out here is taken for inertia.
     Presliding is that of blocks which slip after given ways, as strong as one likes (Maxwell
@@ -210,21 +211,22 @@ def _weighted(values, every):
     return values[::every][1:-1]
 
 
-def described_scales(rows: ArmSamples, described: np.ndarray, own: Callable,
+def described_scales(samples: ArmSamples, described: np.ndarray, own: Callable,
                      unknown: Sequence[int], names: Sequence[str]) -> tuple:
     """
     Return what is recorded per true torque, and the prior deviations of its logarithm, (U,) each.
 
     Of the joints ``unknown`` (U,), beside torques of the links as ``described`` (S, n) [N m].
-    Columns ``own(joint, rows)`` and motor inertia are left open. A joint whose links the motion
-    hardly loads is taken to have a scale like the others'. IdentificationError, of the torque with
-    its name of ``names`` (n,), where one goes against its links or none shows what they require.
+    Regressors ``own(joint, samples)`` and motor inertia are left open. A joint whose links the
+    motion hardly loads is taken to have a scale like the others'. IdentificationError, of the
+    torque with its name of ``names`` (n,), where one goes against its links or none shows what
+    they require.
     """
     found, error = np.empty((2, len(unknown)))  # a recorded torque per N m of its links
     for k, j in enumerate(unknown):
-        columns = np.concatenate([described[:, j:j + 1], rows.acceleration[:, j:j + 1],
-                                  own(j, slice(None))], axis=1)
-        (found[k], *_), (error[k], *_) = solution(columns, rows.torque[:, j], rows.block)
+        regressors = np.concatenate([described[:, j:j + 1], samples.acceleration[:, j:j + 1],
+                                     own(j, slice(None))], axis=1)
+        (found[k], *_), (error[k], *_) = solution(regressors, samples.torque[:, j], samples.block)
     against = np.flatnonzero(found < -_SURE * error)
     if len(against):
         first = against[0]
