@@ -86,8 +86,13 @@ def gain_of(likelihood, state, other, change, plausible=PLAUSIBLE) -> Gain:
 
 def gain_where(likelihood, gains, change) -> Gain:
     """Return the Gain of log likelihoods (B,) where an effect acts, a ``change`` (R,)."""
+    return gain_over(gains, acting(likelihood, change))
+
+
+def acting(likelihood, change) -> np.ndarray:
+    """Return in which blocks (B,) an effect acts, a ``change`` (R,) of residuals, bool."""
     size = np.bincount(likelihood.groups.block, change ** 2, minlength=likelihood.groups.blocks)
-    return gain_over(gains, size > _ACTS * size.max())
+    return size > _ACTS * size.max()
 
 
 def gain_over(gains, acts=slice(None)) -> Gain:

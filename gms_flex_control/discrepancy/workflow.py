@@ -8,7 +8,7 @@ import time
 
 from gms_flex_control.compiled import in_one_thread
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.discrepancy import describe, thresholds
+from gms_flex_control.discrepancy import describe, thresholds, worth
 from gms_flex_control.discrepancy import result as outcome
 from gms_flex_control.discrepancy.evidence import credible, doubted, posterior
 from gms_flex_control.discrepancy.fast_ripple import fast_ripples, with_ripples
@@ -34,7 +34,6 @@ from gms_flex_control.discrepancy.remainder import FreeFunctions, LEAST, signatu
 from gms_flex_control.discrepancy.samples import faults_of
 from gms_flex_control.discrepancy.search import search
 from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
-from gms_flex_control.discrepancy.worth import plausible_limit, timed, with_fewer
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import RobotParams, widened
 import numpy as np
@@ -115,7 +114,7 @@ def _compared(motions, holdout, robot, options, say):
     more = left is not None or gap.is_above_floor(thresholds.BETTER)
     whole = whole if left else found
     after, alone = _Choice(
-        likelihood, found, held_out, {one.key: one.main for one in findings}).written(
+        likelihood, found, held_out, {one.key: one for one in findings}).written(
         whole, [searched.best, predicting_subset(likelihood, whole, held_out)] if more else [])
     retuned_alone = replace(gap, after=gap.retuned, free_after=gap.free_before)
     if after is not all_found:
@@ -169,7 +168,7 @@ def _searched(likelihood, options, say):
         return search(likelihood, options.most, without, begin, wait, say)
     found = None
     for k in range(_SIMULATED + 1):
-        found = timed(likelihood, searched(found, k < _SIMULATED))
+        found = worth.timed(likelihood, searched(found, k < _SIMULATED))
         sound = _sound(likelihood, found)
         if sound is None:
             break  # noise stays that of the robot believed, which keeps to the motion
@@ -265,23 +264,23 @@ def _named_alone(likelihood, found, named):
                 if i >= likelihood.known and spec.key not in named]
     if not named or not withheld:
         return found
-    return found._replace(best=with_fewer(likelihood, found, *withheld))
+    return found._replace(best=worth.with_fewer(likelihood, found, *withheld))
 
 
 class _Choice:
     """
     Which State is written, of those a search has tried.
 
-    ``named`` are the effects that are named, dict of key to whether it is main. States are
-    compared on held-out data. None is written that predicts torque, the drive's torque or free
-    runs worse than the model as given, which may have been fitted to the blocks left out; nor
-    with effects worse than the same parameters re-tuned alone. Where one of them is main, worse
-    means clearly, and by what matters.
+    ``named`` are the effects that are named, dict of key to Finding: where one acts otherwise, it
+    only resembles something. States are compared on held-out data. None is written that predicts
+    torque, the drive's torque or free runs worse than the model as given, which may have been
+    fitted to the blocks left out; nor with effects worse than the same parameters re-tuned alone.
+    Where one of them is main, worse means clearly, and by what matters.
     """
 
     def __init__(self, likelihood, found, held_out, named):
         self._likelihood, self._found, self._held_out = likelihood, found, held_out
-        self._named, self._limit = named, plausible_limit(likelihood, found.best.model)
+        self._named, self._limit = named, worth.plausible_limit(likelihood, found.best.model)
         self._given = as_given(likelihood, found.before, found.nuisances)
 
     def written(self, larger, further) -> tuple:
@@ -340,33 +339,48 @@ class _Choice:
     def _may_be(self, state, alone=None):
         """Return whether a State may be written, parameters alone being ``alone``."""
         held_out, alone = self._held_out, alone or self._found.before
-        effects = state.key(self._likelihood.known)
-        matters = any(self._named.get(key) for key in effects)
+        effects, kept = state.key(self._likelihood.known), self._as_found(state)
+        matters = any(self._named[key].main for key in kept)
         if held_out.worsens(state, self._given, matters * (
                 thresholds.WORSE if held_out.other else thresholds.NOT_CLEARLY)):
             return False
         if effects and held_out.worsens(state, alone, matters * thresholds.NOT_CLEARLY):
             return False
-        return bool(held_out.other) or _may_stand_in(
-            self._likelihood, held_out, state, (self._found.before, self._given), self._named)
+        return bool(held_out.other) or self._may_stand_in(state, kept)
 
+    def _as_found(self, state):
+        """Return the keys of effects of a State that are named, and act much as found."""
+        effects = state.model.robot.effects
+        return {effects[i].key for i in range(self._likelihood.known, len(effects))
+                if effects[i].key in self._named and worth.acts_like(
+                    self._likelihood, state.model, i, self._named[effects[i].key].values)}
 
-def _may_stand_in(likelihood, held_out, state, without, named):
-    """
-    Return whether a State may be written that may have other effects than those ``named``.
+    def _may_stand_in(self, state, kept):
+        """
+        Return whether a State may be written that may have other effects than those named (keys).
 
-    Others must explain more than they leave, of what the better of the States ``without`` effects
-    leaves in the joints on which they act. Blocks of a recording are much like what was fitted:
-    what only resembles the cause must show more there than on other recordings.
-    """
-    owners = {joint for _, joint in state.key(likelihood.known) - named.keys()}
-    if not owners:
-        return True
-    joints = likelihood.robot.joints
-    acted = [joint in owners or not owners.issubset(joints) for joint in joints]  # or all
-    left, *whole = (np.sum((held_out.errors(one).torque / likelihood.coulomb)[acted] ** 2)
-                    for one in (state, *without))
-    return left < thresholds.MOST_LEFT * min(whole)
+        Others must explain more than they leave, of what named ones or parameters alone leave in
+        the joints on which they act, and act in as many blocks as judge. Blocks of a recording are
+        much like what was fitted: what only resembles the cause must show more there than on
+        other recordings.
+        """
+        likelihood, effects = self._likelihood, state.model.robot.effects
+        others = [i for i in range(likelihood.known, len(effects)) if effects[i].key not in kept]
+        if not others:
+            return True
+        owners, joints = {effects[i].joint for i in others}, likelihood.robot.joints
+        acted = [joint in owners or not owners.issubset(joints) for joint in joints]  # or all
+
+        def left(state):
+            torque = self._held_out.errors(state).torque / likelihood.coulomb
+            return np.sum(torque[acted] ** 2)
+
+        def explain_most(of):
+            return left(state) < thresholds.MOST_LEFT * left(of)
+        return (explain_most(self._found.before) and explain_most(self._given)
+                and all(worth.acts_widely(likelihood, state.model, i) for i in others)
+                and (not kept or explain_most(worth.with_fewer(
+                    likelihood, self._found._replace(best=state), *others))))
 
 
 def _tried(found):

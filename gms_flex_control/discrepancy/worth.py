@@ -13,8 +13,20 @@ from gms_flex_control.discrepancy.dictionary import may_join
 from gms_flex_control.discrepancy.evidence import finite, State, state_of
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.search import Found
-from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, PLAUSIBLE
-from gms_flex_control.discrepancy.validation import Gain, gain_where, predicted, prediction_cost
+from gms_flex_control.discrepancy.thresholds import (
+    CREDIBLE,
+    EVIDENCE,
+    FEW_BLOCKS,
+    MOST_LEFT,
+    PLAUSIBLE,
+)
+from gms_flex_control.discrepancy.validation import (
+    acting,
+    Gain,
+    gain_where,
+    predicted,
+    prediction_cost,
+)
 from gms_flex_control.effects.registry import find
 import numpy as np
 
@@ -69,6 +81,28 @@ def _worth_of(likelihood, found, i, whole):
     return Worth(i, _torque_rms(likelihood, less, model), share,
                  max(plausible.cost - model.cost, 0.0), evidence,
                  evidence + plausible.cost - anything.cost, gain, plausible, rest)
+
+
+def acts_widely(likelihood, model, index) -> bool:
+    """Return whether an effect acts in as many blocks as judge, or in all."""
+    acts = acting(likelihood, _action(likelihood, model, index))
+    return np.sum(acts) >= min(FEW_BLOCKS, len(acts))
+
+
+def acts_like(likelihood, model, index, values) -> bool:
+    """Return whether most of what an effect does is as with other ``values``, of Value."""
+    effects = model.robot.effects
+    spec = replace(effects[index], values=tuple(value.value for value in values))
+    other = likelihood.fitted(
+        replace(model.robot, effects=(*effects[:index], spec, *effects[index + 1:])), model.x)
+    change = other.whitened - model.whitened
+    return change @ change <= MOST_LEFT * np.sum(_action(likelihood, other, index) ** 2)
+
+
+def _action(likelihood, model, index):
+    """Return what an effect of a model changes of its whitened residuals (R,)."""
+    less = likelihood.fitted(fitting.without(model.robot, index), model.x)
+    return model.whitened - less.whitened
 
 
 def _beside(likelihood, model, less, others, change):
