@@ -196,13 +196,14 @@ def friction_regressors(rate: np.ndarray, usual: float | None = None) -> np.ndar
 
 
 class _Model(NamedTuple):
-    """Columns (S, C) of the torque: inertia, gravity or none, friction, ripple, load or none."""
+    """Columns (S, C): inertia, gravity, friction, ripple, friction by load, by angle."""
 
     regressors: np.ndarray
     gravity: slice
     friction: slice
     wave: slice
     load: slice
+    placed: slice
     off: float    # robust error on data held out [N m]
 
 
@@ -227,20 +228,32 @@ def fit_axis(samples: AxisSamples, joint: str, source: str, wave: np.ndarray | N
     found = np.zeros((2, 4))
     count = model.gravity.stop
     found[:, :count] = values[:count], error[:count]
-    friction, both_ways = torque_of(model.friction), np.ptp(np.sign(samples.rate)) > 0.0
-    levels = _levels(friction + torque_of(model.load), samples.rate)
-    constant = 0.5 * (levels[0] - levels[1])
-    if both_ways and _is_lopsided(levels) and abs(constant) > CONFIDENT * error[count]:
-        found[:, 3] = constant, error[count]
+    friction = torque_of(model.friction) + torque_of(model.placed)
+    seen = [np.sum(sign * samples.rate > 0.0) >= FEWEST for sign in (1.0, -1.0)]
+    if all(seen) and _is_lopsided(_levels(friction + torque_of(model.load), samples.rate)):
+        constant, off = _constant_of(model, samples)
+        if abs(constant) > _SURELY * off:
+            found[:, 3] = constant, off
     torque = float(np.std(samples.torque)) or 1.0
+    levels = np.array(_levels(friction, samples.rate))
     return AxisFit(
         *map(float, found[0]), error=found[1], has_gravity=count > 1,
-        friction=max(sum(_levels(friction, samples.rate)) / (1.0 + both_ways), _LEAST * torque),
+        friction=max(float(np.mean(levels[seen] if any(seen) else levels)), _LEAST * torque),
         explained=float(1.0 - np.var(rest) / torque ** 2), inertia_known=bool(known),
         share=float(values[0] * np.std(samples.acceleration) / torque), left=left,
         rippling=rippling, wave=values[model.wave], off=model.off,
         wave_error=float(np.sqrt(np.sum(error[model.wave] ** 2))),
         per_load=float(values[model.load].sum()))
+
+
+def _constant_of(model, samples):
+    """Return the torque beside friction that is alike both ways, and its standard error."""
+    friction, own = model.friction, model.regressors
+    alike = own[:, friction].reshape(len(own), -1, COULOMB[1]).sum(axis=1)
+    regressors = np.column_stack([
+        np.ones(len(own)), own[:, :friction.start], alike, own[:, friction.stop:]])
+    values, errors = solution(regressors, samples.torque, samples.block)
+    return values[0], errors[0]
 
 
 def _moving(samples, joint, source):
@@ -268,9 +281,9 @@ def _model(samples, wave, turns):
     plain, count = regressors.shape[1], 3 if has_gravity else 1
     if has_gravity:
         regressors, off = _with_load(regressors, samples, off)
-    at = plain - wave.shape[1]
-    return _Model(regressors, slice(1, count), slice(count, at), slice(at, plain),
-                  slice(plain, regressors.shape[1]), off)
+    ends = [1, count, plain - wave.shape[1], plain, min(plain + 1, regressors.shape[1]),
+            regressors.shape[1]]
+    return _Model(regressors, *map(slice, ends[:-1], ends[1:]), off)
 
 
 def _regressors_of(samples, waves, turns):
@@ -320,10 +333,12 @@ def _with_load(regressors, samples, off):
     """
     Return the regressors and their held-out error, with that of friction by load if it is there.
 
+    After it stand those of friction that varies with the angle, where they help beside it.
+
     What is carried is the torque that they explain, not the measured one, whose noise
     would explain itself. Friction that varies with the angle must not explain clearly more of the
-    variance: under gravity both change together, and its four numbers follow whatever else there
-    is.
+    variance, unless friction by load is sure and helps beside it: under gravity both change
+    together, and its four numbers follow whatever else there is.
     """
     carried = regressors @ solution(regressors, samples.torque, samples.block)[0]
     count = regressors.shape[1]
@@ -333,11 +348,15 @@ def _with_load(regressors, samples, off):
         carried = grown @ values
     if values[count] < max(CONFIDENT * error[count], _LEAST):
         return regressors, off
-    with_load = held_out_error(grown, samples.torque, samples.block)
-    placed = np.sign(samples.rate) * np.array([
+    placed = np.sign(samples.rate)[:, None] * np.column_stack([
         wave(order * samples.angle) for order in _PLACES for wave in (np.cos, np.sin)])
-    rival = held_out_error(np.column_stack([regressors, placed.T]), samples.torque, samples.block)
+    beside = np.column_stack([grown, placed])
+    with_load, rival, both = (held_out_error(one, samples.torque, samples.block) for one in (
+        grown, np.column_stack([regressors, placed]), beside))
     explained, rivals = (off ** 2 - one ** 2 for one in (with_load, rival))
+    values, error = solution(beside, samples.torque, samples.block)
+    if values[count] > max(_SURELY * error[count], _LEAST) and both < _WORTH * rival:
+        return (beside, both) if both < _WORTH * with_load else (grown, with_load)
     is_there = with_load < _WORTH * off and explained > _WORTH * rivals
     return (grown, with_load) if is_there else (regressors, off)
 

@@ -16,11 +16,17 @@ from gms_flex_control.identification.objective import Objective
 from gms_flex_control.identification.outcome import HeldOutErrors, PreslidingLoop, Trace
 from gms_flex_control.identification.segments import standing
 import numpy as np
+from scipy.optimize import lsq_linear
 
 HORIZON = 0.5       # of a free simulation [s]
 PRESLIDING = 'presliding'
 FEWEST_WAVES = 6.0  # of a ripple in the range of angles: fewer may be gravity or friction
 _STRIDE = 1.0       # from one start to the next [s]
+_MEMORY = 0.1        # of an error of the torque, at least [s]
+_LEAST_ONE = np.array([1e-4, 1e-4, 0.0, 0.0])  # friction, of the torque: logarithms stay finite
+_DIRECTIONS_SD = 0.3  # by which directions differ, of all friction; priors, with the next two
+_VISCOUS_SD = 1.0    # of the viscous part at usual speed, of all friction
+_FURTHER_SD = 10.0   # of corrections of further torques, of their units: next to nothing
 _SMALL, _FAST = 1e-3, 10.0  # least friction, of the other way; speed [rad/s]
 _LONGEST_TRACE = 20_000
 _MOST_LOOPS, _LONGEST_LOOP = 6, 4000
@@ -48,7 +54,7 @@ def coulomb_viscous(objective: Objective, step: float, chosen: Callable) -> np.n
     R coefficients of further torques (4 + R,), from the ``chosen`` samples, Segment -> bool (T,),
     that move; ``step`` is the encoder step or noise [rad].
     """
-    joint, rows, targets = objective.joint, [], []
+    joint, rows, targets, memory = objective.joint, [], [], _MEMORY / objective.bundle.period
     for segment in objective.bundle.segments:
         rate = segment.rate[:, joint]
         keep = chosen(segment) & (np.abs(rate) > standing(step)) & segment.tested[:, joint]
@@ -58,7 +64,39 @@ def coulomb_viscous(objective: Objective, step: float, chosen: Callable) -> np.n
         columns = np.concatenate([simple, -objective.extra(segment)], axis=1)
         rows.append(low_pass(columns, segment.window)[keep])
         targets.append(low_pass(objective.measured(segment), segment.window)[keep])
-    return np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
+        memory = max(memory, 2.0 * segment.window)
+    columns, target = np.concatenate(rows), np.concatenate(targets)
+    if columns.shape[1] == len(_LEAST_ONE):
+        return np.linalg.lstsq(columns, target, rcond=None)[0]
+    return _beside_further(columns, target, memory)
+
+
+def _beside_further(columns, target, memory):
+    """
+    Return least squares of a torque (S,) in columns of friction and, after four, further torques.
+
+    Of ``memory`` samples one counts. A constant torque is the same as friction that differs
+    between the directions, over part of a turn gravity nearly so, and viscous friction as much at
+    one speed: so friction is never negative, its directions are weakly alike, and its viscous part
+    and the further torques weakly absent.
+    """
+    further = columns.shape[1] - len(_LEAST_ONE)
+    least = np.append(max(rms(target), 1e-300) * _LEAST_ONE, np.full(further, -np.inf))
+    root = np.linalg.qr(np.column_stack([columns, target]), mode='r')
+
+    def bounded(columns, target):
+        return lsq_linear(columns, target, (least, np.inf), method='bvls').x
+    found = bounded(root[:, :-1], root[:, -1])
+    noise = np.sqrt(memory / len(target)) * np.linalg.norm(root @ np.append(found, -1.0))
+    usual = np.sqrt([np.sum(columns[:, 2 + way] ** 2) / max(np.sum(columns[:, way] ** 2), 1.0)
+                     for way in (0, 1)])
+    level = np.mean(found[:2] + usual * found[2:4])
+    prior = np.zeros((3 + further, columns.shape[1]))
+    prior[0, :2] = np.array([0.5, -0.5]) / (_DIRECTIONS_SD * level)
+    prior[1:3, 2:4] = np.diag(usual) / (_VISCOUS_SD * level)
+    prior[3:, 4:] = np.eye(further) / _FURTHER_SD
+    return bounded(np.concatenate([root[:, :-1], noise * prior]),
+                   np.append(root[:, -1], np.zeros(len(prior))))
 
 
 def simple_free(fit: np.ndarray, displacement: float) -> tuple[Coordinates, np.ndarray]:
