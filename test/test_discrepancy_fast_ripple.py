@@ -2,12 +2,15 @@
 """Ripples that pass faster than the whitened residuals show: found, sized, and not invented."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 from bench.hidden_robots import motions
 from core_runs import single_axis
 from discrepancy_runs import as_believed, driven, driven_motion, retuned_of
 from gms_flex_control.discrepancy import residual_views
-from gms_flex_control.discrepancy.fast_ripple import fast_ripples
+from gms_flex_control.discrepancy.evidence import State
+from gms_flex_control.discrepancy.fast_ripple import fast_ripples, with_ripples
+from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion
 from gms_flex_control.discrepancy.result import FOUND
@@ -88,6 +91,21 @@ def test_a_wave_that_the_model_has_is_not_found_again():
         name='torque_ripple', joint=likelihood.robot.joints[0], values=wave),))
     assert fast_ripples(likelihood, likelihood.fitted(robot, np.zeros(
         len(likelihood.nuisances)))) == []
+
+
+def test_of_ripples_those_are_written_that_predict_better():
+    """The second one is not there."""
+    wave = (0.06, 72.0, 0.7)
+    likelihood = rotor(wave)
+    model, columns = retuned_of(likelihood)
+    state = State(model, columns, columns[:0], 0.0)
+    ripples = [SimpleNamespace(spec=EffectSpec(
+        name=name, joint=likelihood.robot.joints[0], values=values)) for name, values in (
+            ('torque_ripple', wave), ('torque_ripple_2', (0.3, 3.0, 0.0)))]
+    gap = HeldOut(likelihood).gap(state, state)
+    written, with_it = with_ripples(likelihood, None, ripples, (state, state), gap)
+    assert [spec.values for spec in written.model.robot.effects] == [wave]
+    assert np.all(with_it.after <= 1.05 * gap.after)
 
 
 @pytest.mark.parametrize(('effect', 'values', 'expected'), [

@@ -69,8 +69,10 @@ def test_what_another_effect_explains_is_no_rival():
 def state_of_errors(torque, free, *effects):
     """Return a State of which only its effects and errors by joint, a and b, are known."""
     torque, free = np.array(torque), np.array(free)
+    specs = tuple(SimpleNamespace(key=one, joint=one[1]) for one in effects)
     return SimpleNamespace(
-        key=lambda known: frozenset(effects), model=SimpleNamespace(x=np.zeros(1)),
+        key=lambda known: frozenset(effects),
+        model=SimpleNamespace(x=np.zeros(1), robot=SimpleNamespace(effects=specs)),
         errors=Errors(torque, torque, free, float(np.sum(torque ** 2) * np.sum(free ** 2))))
 
 
@@ -114,6 +116,19 @@ def test_what_resembles_the_cause_explains_more_than_it_leaves_of_the_better(
     monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): given)
     written, _ = written_of(tuned, tuned, None, ripple)
     assert written is (ripple if is_taken else given)
+
+
+@pytest.mark.parametrize(('beside', 'widely', 'is_taken'), [
+    (0.9, True, True), (0.5, True, False), (0.9, False, False)])
+def test_what_stands_beside_a_named_effect_explains_most_of_what_that_leaves(
+        monkeypatch, beside, widely, is_taken):
+    """And acts widely."""
+    skew, ripple = ('encoder_skew', 'a'), ('torque_ripple', 'a')
+    given, named, both = (state_of_errors((torque, 0.1), (1.0, 1.0), *effects)
+                          for torque, *effects in ((1.0,), (beside, skew), (0.4, skew, ripple)))
+    monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): given)
+    written, _ = written_of(given, named, skew, both, alone=named, widely=widely)
+    assert written is (both if is_taken else named)
 
 
 def test_as_many_other_effects_are_taken_if_they_predict_far_better(monkeypatch):
@@ -172,10 +187,20 @@ class Found(NamedTuple):
     tried: tuple
 
 
-def written_of(before, best, effect, *further):
-    """Return what is written of a search's end, or of further States, and it without effects."""
+def written_of(before, best, effect, *further, alone=None, widely=True):
+    """
+    Return what is written of a search's end, or of further States, and it without effects.
+
+    ``effect`` is named and has a State ``alone``; others act ``widely`` or not.
+    """
     likelihood = SimpleNamespace(known=0, sd=np.ones(1), coulomb=np.ones(2),
                                  robot=SimpleNamespace(joints=('a', 'b')))
-    found = SimpleNamespace(before=before, best=best, nuisances=None, tried=())
-    return workflow._Choice(likelihood, found, Known(likelihood),
-                            {effect: True} if effect else {}).written(found, further)
+    found = SimpleNamespace(before=before, best=best, nuisances=None, tried=(),
+                            _replace=lambda best: None)
+    named = {effect: SimpleNamespace(main=True, values=())} if effect else {}
+    with pytest.MonkeyPatch.context() as patched:
+        for name, answer in {'acts_widely': widely, 'acts_like': True,
+                             'with_fewer': alone}.items():
+            patched.setattr(workflow.worth, name, lambda *given, answer=answer: answer)
+        return workflow._Choice(likelihood, found, Known(likelihood), named).written(
+            found, further)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, driven_motion, likelihood_of, retuned_of
 from gms_flex_control.data.signal_analysis import FOLDS
-from gms_flex_control.discrepancy import findings
+from gms_flex_control.discrepancy import findings, worth
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.fitting import extended, fit, foreseen
 from gms_flex_control.discrepancy.gap import Errors, free_rms, free_runs, HeldOut, torque_rms
@@ -253,6 +253,26 @@ def test_a_stop_that_is_met_in_few_blocks_is_found():
     joint = case.nominal.joints.index(stop.joint)
     assert result.gap.after[joint] < 0.5 * result.gap.retuned[joint]
     assert result.findings[0].held_out.blocks < result.behind.likelihood.groups.blocks
+
+
+def test_a_stop_acts_in_few_blocks_and_a_spring_in_all(case, likelihood):
+    highest = max(motion.states[:, 0, 0].max() for motion in likelihood.motions)
+    (soft,), joint = case.truth.effects, case.nominal.joints[0]
+    stop = EffectSpec(name='end_stop', joint=joint, values=(0.98 * highest, 5.0))
+    model = likelihood.fitted(with_effects(case.nominal, soft, stop), np.zeros(
+        len(likelihood.nuisances)))
+    assert worth.acts_widely(likelihood, model, 0)
+    assert not worth.acts_widely(likelihood, model, 1)
+
+
+@pytest.mark.parametrize(('order', 'is_alike'), [(8.0, True), (8.05, True), (14.0, False)])
+def test_a_wave_of_another_order_acts_otherwise(case, likelihood, order, is_alike):
+    ripple = EffectSpec(name='torque_ripple', joint=case.nominal.joints[0],
+                        values=(0.05, order, 0.3))
+    model = likelihood.fitted(with_effects(case.nominal, ripple), np.zeros(
+        len(likelihood.nuisances)))
+    values = [SimpleNamespace(value=value) for value in (0.05, 8.0, 0.3)]
+    assert worth.acts_like(likelihood, model, 0, values) == is_alike
 
 
 @pytest.mark.parametrize(('end', 'kept'), [(3.0, 'both'), (0.5, 'end')])

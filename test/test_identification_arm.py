@@ -175,7 +175,7 @@ def test_friction_by_load_is_found_beside_little_that_varies_with_the_angle(orde
 @pytest.mark.parametrize('order', [1, 2])
 def test_friction_by_load_is_right_beside_much_that_varies_with_the_angle(order):
     recorded = varying(pendulum(per_load=0.15, offset=0.0, pace=0.3), 0.02, order, 1.0)
-    fit = fit_axis(rows_of([recorded], held_torque(0), 0), 'swing', 'here')
+    fit = fit_axis(axis_samples([recorded], held_torque(0), 0), 'swing', 'here')
     assert fit.per_load == pytest.approx(0.15, rel=0.05)
 
 

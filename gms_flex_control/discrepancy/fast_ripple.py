@@ -64,17 +64,22 @@ def fast_ripples(likelihood, model, excluded=()) -> list[FastRipple]:
 
 
 def with_ripples(likelihood, other, ripples, states, gap) -> tuple[State, Gap]:
-    """Return the second State with FastRipples, and its Gap; as it is if they make it worse."""
+    """
+    Return the second State with FastRipples, and its Gap.
+
+    With as many of the first ones as predict best, and no torque clearly worse.
+    """
     alone, after = states
-    further = tuple(one.spec for one in ripples)
-    if not further:
+    tried = [HeldOut(likelihood, other, tuple(one.spec for one in ripples[:count]))
+             for count in range(len(ripples) + 1)]
+
+    def squared(held_out):
+        return np.sum((held_out.errors(after).torque / likelihood.coulomb) ** 2)
+    best = min((one for one in tried if not squared(one) > CLEARLY * squared(tried[0])),
+               key=lambda one: one.errors(after).energy)
+    if not best.further:
         return after, gap
-    own = HeldOut(likelihood, other, further).gap(alone, after)
-    if any(np.sum(with_them ** 2) > CLEARLY * np.sum(without ** 2) for with_them, without in (
-            (own.after / likelihood.coulomb, gap.after / likelihood.coulomb),
-            (own.free_after, gap.free_after))):
-        return after, gap
-    robot = with_effects(after.model.robot, *further)
+    own, robot = best.gap(alone, after), with_effects(after.model.robot, *best.further)
     return (after._replace(model=likelihood.fitted(robot, after.model.x)),
             replace(gap, after=own.after, rest_after=own.rest_after, free_after=own.free_after))
 

@@ -48,7 +48,7 @@ class HeldOut:
 
     def __init__(self, likelihood, other=None, further=()):
         self._likelihood, self.other, self._made = likelihood, other, {}
-        self._further = further
+        self.further = further
 
     @cached_property
     def of_blocks(self) -> 'HeldOut':
@@ -130,7 +130,7 @@ class HeldOut:
 
     def _parts(self, state):
         """Return what predicts which held-out moments: a State as it is, or refitted in folds."""
-        return [(with_effects(robot, *self._further), x, masks)
+        return [(with_effects(robot, *self.further), x, masks)
                 for robot, x, masks in self._fitted_parts(state)]
 
     def _fitted_parts(self, state):
