@@ -70,6 +70,8 @@ def with_ripples(likelihood, other, ripples, states, gap) -> tuple[State, Gap]:
     With as many of the first ones as predict best, and no torque clearly worse.
     """
     alone, after = states
+    if not ripples:
+        return after, gap
     tried = [HeldOut(likelihood, other, tuple(one.spec for one in ripples[:count]))
              for count in range(len(ripples) + 1)]
 

@@ -338,15 +338,20 @@ class _Choice:
 
     def _may_be(self, state, alone=None):
         """Return whether a State may be written, parameters alone being ``alone``."""
+        if self._worsens(state, alone, state.key(self._likelihood.known) & self._named.keys()):
+            return False
+        kept = self._as_found(state)
+        return not self._worsens(state, alone, kept) and (
+            bool(self._held_out.other) or self._may_stand_in(state, kept))
+
+    def _worsens(self, state, alone, kept):
+        """Return whether a State predicts worse than its effects, ``kept`` as found, may cost."""
         held_out, alone = self._held_out, alone or self._found.before
-        effects, kept = state.key(self._likelihood.known), self._as_found(state)
         matters = any(self._named[key].main for key in kept)
-        if held_out.worsens(state, self._given, matters * (
-                thresholds.WORSE if held_out.other else thresholds.NOT_CLEARLY)):
-            return False
-        if effects and held_out.worsens(state, alone, matters * thresholds.NOT_CLEARLY):
-            return False
-        return bool(held_out.other) or self._may_stand_in(state, kept)
+        return held_out.worsens(state, self._given, matters * (
+            thresholds.WORSE if held_out.other else thresholds.NOT_CLEARLY)) or bool(
+            state.key(self._likelihood.known)
+            and held_out.worsens(state, alone, matters * thresholds.NOT_CLEARLY))
 
     def _as_found(self, state):
         """Return the keys of effects of a State that are named, and act much as found."""
@@ -357,7 +362,7 @@ class _Choice:
 
     def _may_stand_in(self, state, kept):
         """
-        Return whether a State may be written that may have other effects than those named (keys).
+        Return whether a State may be written that may have effects beside those ``kept`` (keys).
 
         Others must explain more than they leave, of what named ones or parameters alone leave in
         the joints on which they act, and act in as many blocks as judge. Blocks of a recording are

@@ -93,6 +93,8 @@ def acts_like(likelihood, model, index, values) -> bool:
     """Return whether most of what an effect does is as with other ``values``, of Value."""
     effects = model.robot.effects
     spec = replace(effects[index], values=tuple(value.value for value in values))
+    if spec == effects[index]:
+        return True
     other = likelihood.fitted(
         replace(model.robot, effects=(*effects[:index], spec, *effects[index + 1:])), model.x)
     change = other.whitened - model.whitened
