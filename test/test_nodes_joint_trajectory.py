@@ -48,7 +48,7 @@ def test_what_makes_no_sense_is_refused_with_the_reason(given, reason):
 
 def test_points_without_time_are_refused_as_such_and_those_of_the_past_by_their_age():
     still = SimpleNamespace(q=np.zeros(2), dq=np.zeros(2))
-    motion = reference_motion.Motion(
+    motion = reference_motion.ReferenceMotion(
         JOINTS, still, None, {'trajectory.autostart': False, 'trajectory.type': 'hold'},
         lambda *_, **__: None)
     motion.begin(0)
