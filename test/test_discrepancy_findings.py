@@ -5,7 +5,7 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 from bench.hidden_robots.cases import make_case
-from gms_flex_control.discrepancy import findings, workflow
+from gms_flex_control.discrepancy import findings, friction_anew, workflow
 from gms_flex_control.discrepancy.findings import evidence_shares
 from gms_flex_control.discrepancy.gap import Errors, HeldOut
 from gms_flex_control.discrepancy.remainder import Free
@@ -178,6 +178,20 @@ def test_a_function_at_the_noise_floor_is_nothing(monkeypatch, left, free_run, i
                           free_after=np.array([free_run]), free_floor=np.array([1.0]))
     found = workflow._left_over(likelihood, None, free(100.0), gap, None)
     assert found == (('slide',) if is_there else None)
+
+
+@pytest.mark.parametrize(('was_open', 'is_open', 'left', 'is_better'), [
+    (True, False, 0.9, True), (True, False, 0.99, False), (True, True, 0.9, False),
+    (False, False, 0.9, False)])
+def test_friction_anew_takes_more_effects_only_where_these_leave_nothing(
+        was_open, is_open, left, is_better):
+    """And predict clearly better."""
+    found, other = (SimpleNamespace(
+        is_open=one, added=(1,), robot=SimpleNamespace(effects=(None,) * count),
+        gap=SimpleNamespace(**dict.fromkeys(('after', 'free_after'), np.array([error])),
+                            floor=np.zeros(1), free_floor=np.zeros(1)))
+        for one, count, error in ((was_open, 2, 1.0), (is_open, 3, left)))
+    assert friction_anew._is_better(other, found) == is_better
 
 
 class Found(NamedTuple):

@@ -104,9 +104,10 @@ def _is_better(other, found):
     """
     Return whether a Discrepancy has fewer effects than another, or predicts clearly better.
 
-    It has no more of them, and neither torque nor free runs are clearly worse. Friction was fitted
-    to what the gap is measured on, unless that is another recording: more effects fit that alone.
-    Where something is left, it names something if the other does.
+    It has no more of them, unless nothing is left beside it, and neither torque nor free runs are
+    clearly worse. Friction was fitted to what the gap is measured on, unless that is another
+    recording: more effects fit that alone. Where something is left, it names something if the
+    other does.
     """
     if other.is_open and found.added and not other.added:
         return False
@@ -114,7 +115,8 @@ def _is_better(other, found):
     gains = np.nan_to_num([_gain(name, floor, other.gap, found.gap) for name, floor in (
         ('after', 'floor'), ('free_after', 'free_floor'))])
     clearly = np.log1p(NOT_CLEARLY)
-    return fewer >= 0 and gains.min() > -clearly and (fewer > 0 or gains.sum() > clearly)
+    return ((fewer >= 0 or found.is_open and not other.is_open) and gains.min() > -clearly
+            and (fewer > 0 or gains.sum() > clearly))
 
 
 def _gain(name, floor, *gaps):
