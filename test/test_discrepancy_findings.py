@@ -186,11 +186,12 @@ def test_a_function_at_the_noise_floor_is_nothing(monkeypatch, left, free_run, i
 def test_friction_anew_takes_more_effects_only_where_these_leave_nothing(
         was_open, is_open, left, is_better):
     """And predict clearly better."""
-    found, other = (SimpleNamespace(
-        is_open=one, added=(1,), robot=SimpleNamespace(effects=(None,) * count),
-        gap=SimpleNamespace(**dict.fromkeys(('after', 'free_after'), np.array([error])),
-                            floor=np.zeros(1), free_floor=np.zeros(1)))
-        for one, count, error in ((was_open, 2, 1.0), (is_open, 3, left)))
+    def answer(is_open, count, error):
+        gap = dict.fromkeys(('after', 'free_after'), np.array([error]))
+        noise = dict.fromkeys(('floor', 'free_floor'), np.zeros(1))
+        return SimpleNamespace(is_open=is_open, added=(1,), gap=SimpleNamespace(**gap, **noise),
+                               robot=SimpleNamespace(effects=(None,) * count))
+    found, other = answer(was_open, 2, 1.0), answer(is_open, 3, left)
     assert friction_anew._is_better(other, found) == is_better
 
 
