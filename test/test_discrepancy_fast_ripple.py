@@ -102,8 +102,9 @@ def test_of_ripples_those_are_written_that_predict_better():
     ripples = [SimpleNamespace(spec=EffectSpec(
         name=name, joint=likelihood.robot.joints[0], values=values)) for name, values in (
             ('torque_ripple', wave), ('torque_ripple_2', (0.3, 3.0, 0.0)))]
-    gap = HeldOut(likelihood).gap(state, state)
-    written, with_it = with_ripples(likelihood, None, ripples, (state, state), gap)
+    held_out = HeldOut(likelihood)
+    gap = held_out.gap(state, state)
+    written, with_it = with_ripples(likelihood, held_out, ripples, (state, state), gap)
     assert [spec.values for spec in written.model.robot.effects] == [wave]
     assert np.all(with_it.after <= 1.05 * gap.after)
 

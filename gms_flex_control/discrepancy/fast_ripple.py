@@ -63,21 +63,22 @@ def fast_ripples(likelihood, model, excluded=()) -> list[FastRipple]:
     return found
 
 
-def with_ripples(likelihood, other, ripples, states, gap) -> tuple[State, Gap]:
+def with_ripples(likelihood, held_out, ripples, states, gap) -> tuple[State, Gap]:
     """
-    Return the second State with FastRipples, and its Gap.
+    Return the second State with FastRipples, and its Gap, on HeldOut data.
 
     With as many of the first ones as predict best, and no torque clearly worse.
     """
     alone, after = states
     if not ripples:
         return after, gap
-    tried = [HeldOut(likelihood, other, tuple(one.spec for one in ripples[:count]))
-             for count in range(len(ripples) + 1)]
+    tried = [HeldOut(likelihood, held_out.other, tuple(one.spec for one in ripples[:count + 1]))
+             for count in range(len(ripples))]
 
-    def squared(held_out):
-        return np.sum((held_out.errors(after).torque / likelihood.coulomb) ** 2)
-    best = min((one for one in tried if not squared(one) > CLEARLY * squared(tried[0])),
+    def squared(data):
+        return np.sum((data.errors(after).torque / likelihood.coulomb) ** 2)
+    most = CLEARLY * squared(held_out)
+    best = min((held_out, *(one for one in tried if not squared(one) > most)),
                key=lambda one: one.errors(after).energy)
     if not best.further:
         return after, gap

@@ -125,7 +125,7 @@ def _compared(motions, holdout, robot, options, say):
     ripples = fast_ripples(likelihood, after.model, options.without)[
         :max(options.most - len(after.key(likelihood.known)), 0)]
     findings += [finding_of(ripple, robot) for ripple in ripples]
-    after, gap = with_ripples(likelihood, held_out.other, ripples, (alone, after), gap)
+    after, gap = with_ripples(likelihood, held_out, ripples, (alone, after), gap)
     result = _result(likelihood, found, searched, after, findings, left, gap, retuned_alone)
     words, details = describe.paragraph(result, sorted(likelihood.unseen),
                                         _known_off(found, robot))

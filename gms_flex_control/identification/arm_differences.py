@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.axis_fit import friction_regressors
+from gms_flex_control.identification.axis_fit import alike, friction_regressors
 from gms_flex_control.identification.inertial_parameters import body_of
 from gms_flex_control.identification.outcome import CONFIDENT, Estimate, estimated, WIDE
 from gms_flex_control.identification.segments import Segment
@@ -95,11 +95,6 @@ class Differences(NamedTuple):
         return replace(segment, angle=segment.angle - self.zero[recording],
                        torque=(segment.torque - self.offset[recording] - more) / self.scale
                        - beyond)
-
-
-def alike(friction: np.ndarray) -> np.ndarray:
-    """Return columns (S, 4) of friction that both directions have alike, of those by direction."""
-    return friction[:, :4] + friction[:, 4:]
 
 
 def relative_change(friction, rate, label, curve, changes) -> np.ndarray:

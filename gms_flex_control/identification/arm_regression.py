@@ -19,7 +19,6 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification import robust_regression
 from gms_flex_control.identification.arm_differences import (
-    alike,
     BaseFit,
     Coupled,
     Differences,
@@ -29,7 +28,7 @@ from gms_flex_control.identification.arm_differences import (
     Unknowns,
 )
 from gms_flex_control.identification.arm_samples import arm_samples, described_scales, SLIPS
-from gms_flex_control.identification.axis_fit import COULOMB
+from gms_flex_control.identification.axis_fit import alike, COULOMB
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     Base,

@@ -36,7 +36,8 @@ FEWEST = 60        # samples, moving
 _SURELY = 3.0      # standard errors, and part of an inertia, by which a wider filter must show
 _LARGER = 0.25     # more of it
 _WIDEST = 4        # times the usual filter
-COULOMB = [0, 4]   # of friction_regressors, those of Coulomb friction forward and backward
+_ONE_WAY = 4       # of friction_regressors
+COULOMB = [0, _ONE_WAY]  # likewise, those of Coulomb friction forward and backward
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there, or if cancelled
@@ -195,6 +196,12 @@ def friction_regressors(rate: np.ndarray, usual: float | None = None) -> np.ndar
     return np.stack(regressors, axis=1)
 
 
+def alike(friction: np.ndarray) -> np.ndarray:
+    """Return regressors (S, 4) of friction alike both ways, of `friction_regressors` or such."""
+    samples, count = friction.shape
+    return friction.reshape(samples, count // _ONE_WAY, _ONE_WAY).sum(axis=1)
+
+
 class _Model(NamedTuple):
     """Columns (S, C): inertia, gravity, friction, ripple, friction by load, by angle."""
 
@@ -249,9 +256,8 @@ def fit_axis(samples: AxisSamples, joint: str, source: str, wave: np.ndarray | N
 def _constant_of(model, samples):
     """Return the torque beside friction that is alike both ways, and its standard error."""
     friction, own = model.friction, model.regressors
-    alike = own[:, friction].reshape(len(own), -1, COULOMB[1]).sum(axis=1)
-    regressors = np.column_stack([
-        np.ones(len(own)), own[:, :friction.start], alike, own[:, friction.stop:]])
+    regressors = np.column_stack([np.ones(len(own)), own[:, :friction.start],
+                                  alike(own[:, friction]), own[:, friction.stop:]])
     values, errors = solution(regressors, samples.torque, samples.block)
     return values[0], errors[0]
 
@@ -294,24 +300,23 @@ def _regressors_of(samples, waves, turns):
     """
     gravity = np.stack([np.cos(samples.angle), np.sin(samples.angle)], axis=1)
     inertia, friction = samples.acceleration[:, None], friction_regressors(samples.rate)
-    forward, backward = np.split(friction, 2, axis=1)
-    either, constant = forward + backward, np.ones((len(samples.rate), 1))
+    even, constant = alike(friction), np.ones((len(samples.rate), 1))
     tries = [
         np.concatenate([inertia, *parts, waves], axis=1) for parts in (
-            (gravity, friction), (gravity, either), (friction,), (constant, either))]
-    both, alike, others, _ = tries
-    with_gravity, with_alike, off, level_off = (
+            (gravity, friction), (gravity, even), (friction,), (constant, even))]
+    both, both_even, others, _ = tries
+    with_gravity, with_even, off, level_off = (
         held_out_error(one, samples.torque, samples.block) for one in tries)
     worth = _WORTH if np.ptp(samples.angle) > _NARROW else _CLEAR
     cancelled = _is_cancelled(both, others, samples, waves.shape[1])
     if turns and with_gravity < (_CLEAR if cancelled else worth) * off:
         return both, with_gravity, True
     # what a constant torque takes away is no gravity, unless friction alike both ways leaves it
-    if not (turns and cancelled and with_alike < worth * min(off, level_off)):
+    if not (turns and cancelled and with_even < worth * min(off, level_off)):
         return others, off, False
-    if with_gravity < _WORTH * with_alike:
+    if with_gravity < _WORTH * with_even:
         return both, with_gravity, True
-    return alike, with_alike, True
+    return both_even, with_even, True
 
 
 def _is_cancelled(both, others, samples, waves):

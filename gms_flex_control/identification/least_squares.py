@@ -24,7 +24,12 @@ from gms_flex_control.identification.coordinates import (
     with_both_as,
     with_narrow_curves,
 )
-from gms_flex_control.identification.objective import block_length, Evaluation, Objective
+from gms_flex_control.identification.objective import (
+    block_length,
+    Evaluation,
+    Objective,
+    torque_memory,
+)
 from gms_flex_control.identification.outcome import widening
 from gms_flex_control.simulation.predictor import PER_DIRECTION, VELOCITY
 import numpy as np
@@ -36,7 +41,6 @@ _ROUNDS = 3
 _SAME_FLOOR = 0.1
 _ENOUGH, _NEARLY = 1e-5, 2e-3  # relative decrease of a fit that has settled, or will do to go on
 _STEADY_SD, _BLOCK_SD, _EXTRA_SD = 1.0, 3.0, 1.0  # of the prior: logarithms, units of corrections
-_MEMORY = 0.1  # of what a fit leaves of the torque, at least [s]
 _STEP = 1e-4   # of a free number, for a derivative
 _BENT = 2.0    # residuals beyond this many standard deviations count less
 # of a multi-start
@@ -304,7 +308,7 @@ class TorqueError:
                                      objective.resistance_along(segment), counts))
         self.block = np.unique(np.concatenate(blocks), return_inverse=True)[1]
         self.measured = np.concatenate([torque[counts] for _, torque, _, counts in self._pieces])
-        self.memory = max(_MEMORY / bundle.period, *(2.0 * window for window, *_ in self._pieces))
+        self.memory = torque_memory(bundle.period, [window for window, *_ in self._pieces])
 
     def __call__(self, theta):
         """Return the unexplained torque (S,) of parameters [N m]."""

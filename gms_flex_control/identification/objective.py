@@ -27,6 +27,7 @@ _SLOWEST, _FASTEST = 2.0, 100.0  # of the observer [rad/s]
 _FASTEST_STEP = 0.3   # radians of the observer per sample
 _EXPLAINED = 0.3      # of the usual innovation: a block this much better is explained
 _FINEST = 0.01        # of a count, likewise
+_TORQUE_MEMORY = 0.1  # of what a fit leaves of the torque, at least [s]
 
 
 class Bundle(NamedTuple):
@@ -42,6 +43,11 @@ class Bundle(NamedTuple):
     def judged(self, segment: Segment, joint: int, step: float) -> np.ndarray:
         """Return where torque judges a joint, of encoder ``step`` or noise [rad], bool (T,)."""
         return segment.tested[:, joint] & moving(segment, joint, step, self.half[joint])
+
+
+def torque_memory(period: float, windows: Sequence[int]) -> float:
+    """Return how many samples an error of torque lasts behind low-passes of such ``windows``."""
+    return max(_TORQUE_MEMORY / period, *(2.0 * window for window in windows))
 
 
 def block_length(period: float) -> int:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from gms_flex_control.data.signal_analysis import low_pass, low_pass_bandwidth, rms, runs
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.coordinates import Coordinates
-from gms_flex_control.identification.objective import Objective
+from gms_flex_control.identification.objective import Objective, torque_memory
 from gms_flex_control.identification.outcome import HeldOutErrors, PreslidingLoop, Trace
 from gms_flex_control.identification.segments import standing
 import numpy as np
@@ -22,7 +22,6 @@ HORIZON = 0.5       # of a free simulation [s]
 PRESLIDING = 'presliding'
 FEWEST_WAVES = 6.0  # of a ripple in the range of angles: fewer may be gravity or friction
 _STRIDE = 1.0       # from one start to the next [s]
-_MEMORY = 0.1        # of an error of the torque, at least [s]
 _LEAST_ONE = np.array([1e-4, 1e-4, 0.0, 0.0])  # friction, of the torque: logarithms stay finite
 _DIRECTIONS_SD = 0.3  # by which directions differ, of all friction; priors, with the next two
 _VISCOUS_SD = 1.0    # of the viscous part at usual speed, of all friction
@@ -54,8 +53,8 @@ def coulomb_viscous(objective: Objective, step: float, chosen: Callable) -> np.n
     R coefficients of further torques (4 + R,), from the ``chosen`` samples, Segment -> bool (T,),
     that move; ``step`` is the encoder step or noise [rad].
     """
-    joint, rows, targets, memory = objective.joint, [], [], _MEMORY / objective.bundle.period
-    for segment in objective.bundle.segments:
+    joint, bundle, rows, targets = objective.joint, objective.bundle, [], []
+    for segment in bundle.segments:
         rate = segment.rate[:, joint]
         keep = chosen(segment) & (np.abs(rate) > standing(step)) & segment.tested[:, joint]
         forward, backward = rate > 0.0, rate < 0.0
@@ -64,11 +63,11 @@ def coulomb_viscous(objective: Objective, step: float, chosen: Callable) -> np.n
         columns = np.concatenate([simple, -objective.extra(segment)], axis=1)
         rows.append(low_pass(columns, segment.window)[keep])
         targets.append(low_pass(objective.measured(segment), segment.window)[keep])
-        memory = max(memory, 2.0 * segment.window)
     columns, target = np.concatenate(rows), np.concatenate(targets)
     if columns.shape[1] == len(_LEAST_ONE):
         return np.linalg.lstsq(columns, target, rcond=None)[0]
-    return _beside_further(columns, target, memory)
+    return _beside_further(columns, target, torque_memory(
+        bundle.period, [segment.window for segment in bundle.segments]))
 
 
 def _beside_further(columns, target, memory):
