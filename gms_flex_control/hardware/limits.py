@@ -105,35 +105,29 @@ def is_within(now, before, elapsed, least, most, fastest, torsion) -> bool:
 
 def violation(names, measured, limits) -> str:
     """Return a sentence about the first joint ``measured`` beyond its margins; '' if none is."""
+    return next(_violations(names, measured, limits), '')
+
+
+def _violations(names, measured, limits):
     q, torsion = measured.q_link, measured.q_motor - measured.q_link
-    above = q > limits.upper + limits.position_margin
-    below = q < limits.lower - limits.position_margin
-    if (above | below).any():
-        j = int(np.argmax(above | below))
-        return (f'{names[j]} is at {q[j]:.4g} rad, beyond its range of {limits.lower[j]:.4g} to '
-                f'{limits.upper[j]:.4g} by more than {limits.position_margin[j]:.4g} rad')
+    least, most, fastest, farthest = limits.within
+    for j in np.flatnonzero((q > most) | (q < least)):
+        yield (f'{names[j]} is at {q[j]:.4g} rad, beyond its range of {limits.lower[j]:.4g} to '
+               f'{limits.upper[j]:.4g} by more than {limits.position_margin[j]:.4g} rad')
     for side, dq in (('link', measured.dq_link), ('motor', measured.dq_motor)):
-        fast = np.abs(dq) > limits.velocity + limits.velocity_margin
-        if fast.any():
-            j = int(np.argmax(fast))
-            return (f'the {side} side of {names[j]} moves at {dq[j]:.4g} rad/s, above its limit '
-                    f'of {limits.velocity[j]:.4g} by more than {limits.velocity_margin[j]:.4g}')
-    far = np.abs(torsion) > limits.torsion
-    if not far.any():
-        return ''
-    j = int(np.argmax(far))
-    return (f'motor and link of {names[j]} are {torsion[j]:.4g} rad apart, more than the '
-            f'{limits.torsion[j]:.4g} allowed; a sign, a gear ratio or an encoder may be wrong')
+        for j in np.flatnonzero(np.abs(dq) > fastest):
+            yield (f'the {side} side of {names[j]} moves at {dq[j]:.4g} rad/s, above its limit '
+                   f'of {limits.velocity[j]:.4g} by more than {limits.velocity_margin[j]:.4g}')
+    for j in np.flatnonzero(np.abs(torsion) > farthest):
+        yield (f'motor and link of {names[j]} are {torsion[j]:.4g} rad apart, more than the '
+               f'{farthest[j]:.4g} allowed; a sign, a gear ratio or an encoder may be wrong')
 
 
 def jump(names, measured, before, elapsed, limits) -> str:
     """Return a sentence on the first angle no joint can come to from ``before``; '' if all can."""
-    fastest = (limits.velocity + limits.velocity_margin) * max(elapsed, _SHORTEST)
-    for what, q, q_before in (('', measured.q_link, before[0]),
-                              ('the motor of ', measured.q_motor, before[1])):
-        jumped = np.abs(q - q_before) > fastest
-        if jumped.any():
-            j = int(np.argmax(jumped))
-            return (f'{what}{names[j]} jumped from {q_before[j]:.4g} to {q[j]:.4g} rad within '
-                    f'{elapsed * 1e3:.3g} ms; look at its encoder')
-    return ''
+    far = limits.within[2] * max(elapsed, _SHORTEST)
+    return next((f'{what}{names[j]} jumped from {last[j]:.4g} to {q[j]:.4g} rad within '
+                 f'{elapsed * 1e3:.3g} ms; look at its encoder'
+                 for what, q, last in (('', measured.q_link, before[0]),
+                                       ('the motor of ', measured.q_motor, before[1]))
+                 for j in np.flatnonzero(np.abs(q - last) > far)), '')

@@ -24,6 +24,12 @@ class ReadingError(GmsFlexError):
     """A message that is not acted on; the sentence says why."""
 
 
+def _require_sign(one):
+    """Raise ParameterError unless the sign of a Reading or Actuation is 1 or -1."""
+    if one.sign not in (-1.0, 1.0):
+        raise ParameterError(f'{one.name}: sign must be 1 or -1, got {one.sign:g}')
+
+
 @dataclass(frozen=True, kw_only=True)
 class Reading:
     """One encoder: angle of the joint = sign * reading / ratio + offset."""
@@ -34,13 +40,7 @@ class Reading:
     ratio: float = number('turns of this encoder per turn of the joint', '', 1.0, SMALLEST, 1e6,
                           default=1.0)  # 1 if divided already
     offset: float = number('joint angle where it reads 0', 'rad', 0.0, default=0.0)
-
-    def __post_init__(self):
-        if self.sign not in (-1.0, 1.0):
-            raise ParameterError(f'{self.name}: sign must be 1 or -1, got {self.sign:g}')
-        if not self.ratio > 0.0:
-            raise ParameterError(f'{self.name}: ratio must be above 0, got {self.ratio:g}; '
-                                 'a reversed encoder has sign -1')
+    __post_init__ = _require_sign
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,13 +52,7 @@ class Actuation:
     torque_constant: float = 1.0  # torque at the motor shaft per unit of effort [N m]
     gear: float = 1.0             # torque at the joint per torque that the effort stands for
 
-    def __post_init__(self):
-        if self.sign not in (-1.0, 1.0):
-            raise ParameterError(f'{self.name}: sign must be 1 or -1, got {self.sign:g}')
-        for name in ('torque_constant', 'gear'):
-            if not getattr(self, name) > 0.0:
-                raise ParameterError(f'{self.name}: {name} must be above 0, '
-                                     f'got {getattr(self, name):g}')
+    __post_init__ = _require_sign
 
 
 class JointMap:

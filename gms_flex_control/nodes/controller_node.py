@@ -8,7 +8,7 @@ from gms_flex_control.control.feedforward import as_parameters, compensated
 from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.following import Follower, Reference
-from gms_flex_control.nodes.health import Health, trigger, WARN
+from gms_flex_control.nodes.health import Health, WARN
 from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
 from gms_flex_control.nodes.topics import Inbox, Outlet
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
@@ -16,7 +16,6 @@ from gms_flex_control.schema.keys import controller_keys, CONTROLLER_NODE, robot
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
 
 _LONGEST_SILENCE = 0.03  # of the joint states; then zero torque, real time only [s]
 _ZEROS = 10          # sent one silence apart while it lasts: one may be lost
@@ -132,9 +131,7 @@ class ControllerNode(ConfiguredNode):
         self._outputs = _Outputs(self, robot, values['mode'], values['state_every'])
         Inbox(self, Float64MultiArray, 'reference', self._on_reference, values['mode'])
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
-        reset = self.health.guard(trigger('reset', self._reset))
-        self.create_service(Trigger, '~/reset', reset)
-        self.direct.services[self.resolve_service_name('~/reset')] = reset
+        self.serve('reset', self._reset)
         parameters.watch(lambda new: controller_from_values(new, joints), self._use,
                          self.health.guard)
         self._warn_of_conditions(gains)

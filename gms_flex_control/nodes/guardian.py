@@ -7,6 +7,7 @@ The bridge writes to a pipe while it lives. The guardian publishes nothing until
 then zero.
 """
 
+from contextlib import suppress
 import json
 import os
 import select
@@ -65,19 +66,14 @@ class Guardian:
             self._heard_by = answer[-1]
         return self._heard_by
 
-    def beat(self) -> None:
+    def beat(self, data=_BEAT) -> None:
         """Say that the bridge lives; to be called at least every 20 ms."""
-        self._write(_BEAT)
-
-    def _write(self, data):
-        try:
+        with suppress(OSError):  # it is dead, which `ended` reports, or frozen with a full pipe
             self._process.stdin.write(data)
-        except OSError:
-            pass  # it is dead, which `ended` reports, or frozen with a full pipe
 
     def end(self) -> None:
         """Let it go without a word, the bridge having said the last one."""
-        self._write(_END)
+        self.beat(_END)
         self._process.stdin.close()
         try:
             self._process.wait(timeout=1.0)

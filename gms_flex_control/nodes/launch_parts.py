@@ -30,7 +30,6 @@ RECORDED = ('joint_states', 'effort_controller/commands', 'reference',
             'cascade_controller/state', 'cascade_controller/blocks',
             'cascade_controller/sticking')
 _FRAMES = [('/tf', 'tf'), ('/tf_static', 'tf_static')]  # absolute in tf2, whatever the namespace
-_SWITCH = ('true', 'false')
 _ENVIRONMENT = {LAUNCHED: 'true'}
 # a Ctrl-C waits until the process has its handlers; till then Python would print a traceback
 _PREFIX = ['env --block-signal=INT ', LaunchConfiguration('launch-prefix', default='')]
@@ -43,37 +42,27 @@ def config(name) -> PathJoinSubstitution:
 
 def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority='0') -> list:
     """Return the arguments of every launch file; their defaults, where files differ, are given."""
-    files = {'robot': 'robot.yaml', 'controller': controller, 'trajectory': 'sinusoid.yaml'}
-    return [
-        *(DeclareLaunchArgument(name, default_value=config(file),
-                                description=f'Parameter file of the {name}')
-          for name, file in files.items()),
-        DeclareLaunchArgument('bridge', default_value=bridge,
-                              description='Parameter file of the bridge to a real robot; empty '
-                                          'simulates the robot'),
-        DeclareLaunchArgument('mode', default_value='realtime', choices=['realtime', 'lockstep'],
-                              description='Pace of the simulation: the wall clock, or one step '
-                                          'per command as fast as it goes'),
-        DeclareLaunchArgument('composed', default_value='false', choices=_SWITCH,
-                              description='Run plant or bridge, controller and trajectory in one '
-                                          'process, where no sample waits for DDS'),
-        DeclareLaunchArgument('realtime_priority', default_value=priority,
-                              description='Of controller, trajectory and simulation, 1 to 99 '
-                                          'where it is permitted, 0 for none; a bridge has its '
-                                          'own in its file'),
-        DeclareLaunchArgument('record', default_value='',
-                              description='Bag to be made of the loop; empty records nothing'),
-        DeclareLaunchArgument('rviz', default_value=rviz, choices=_SWITCH,
-                              description='Show the arm in RViz'),
-        DeclareLaunchArgument('state_publisher', default_value=LaunchConfiguration('rviz'),
-                              choices=_SWITCH,
-                              description='Publish /robot_description and /tf, which RViz and the '
-                                          '3D panel of Foxglove draw'),
-        DeclareLaunchArgument('namespace', default_value='',
-                              description='Namespace of all nodes and topics'),
-        DeclareLaunchArgument('use_sim_time', default_value='false', choices=_SWITCH,
-                              description='Take the time from /clock, which the simulation '
-                                          'publishes with mode:=lockstep')]
+    switch = {'choices': ['true', 'false']}
+    return [DeclareLaunchArgument(name, default_value=default, description=words, **options)
+            for name, default, options, words in (
+                ('robot', config('robot.yaml'), {}, 'Parameter file of the robot'),
+                ('controller', config(controller), {}, 'Parameter file of the controller'),
+                ('trajectory', config('sinusoid.yaml'), {}, 'Parameter file of the trajectory'),
+                ('bridge', bridge, {}, 'Parameter file of the bridge to a real robot; empty '
+                 'simulates the robot'),
+                ('mode', 'realtime', {'choices': ['realtime', 'lockstep']}, 'Pace of the '
+                 'simulation: the wall clock, or one step per command as fast as it goes'),
+                ('composed', 'false', switch, 'Run plant or bridge, controller and trajectory in '
+                 'one process, where no sample waits for DDS'),
+                ('realtime_priority', priority, {}, 'Of controller, trajectory and simulation, 1 '
+                 'to 99 where it is permitted, 0 for none; a bridge has its own in its file'),
+                ('record', '', {}, 'Bag to be made of the loop; empty records nothing'),
+                ('rviz', rviz, switch, 'Show the arm in RViz'),
+                ('state_publisher', LaunchConfiguration('rviz'), switch, 'Publish '
+                 '/robot_description and /tf, which RViz and the 3D panel of Foxglove draw'),
+                ('namespace', '', {}, 'Namespace of all nodes and topics'),
+                ('use_sim_time', 'false', switch, 'Take the time from /clock, which the '
+                 'simulation publishes with mode:=lockstep'))]
 
 
 def description(declared, actions) -> LaunchDescription:

@@ -12,12 +12,13 @@ from tempfile import mkdtemp
 import time
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
-from gms_flex_control.nodes.health import Namesakes
+from gms_flex_control.nodes.health import Namesakes, trigger
 from gms_flex_control.nodes.process import NO_EVENTS
 from gms_flex_control.nodes.topics import Direct
 from gms_flex_control.params.key import checked, range_in_words, REQUIRED
 from gms_flex_control.schema import build
 from gms_flex_control.schema.keys import known_keys
+import numpy as np
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -29,6 +30,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 _PATIENCE = 5.0  # with a topic that has the URDF [s]
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -80,6 +82,12 @@ class ConfiguredNode(Node):
     def resolve_service_name(self, service, *, only_expand=False) -> str:
         """Return the full name of a service; ConfigError names one that cannot be."""
         return _resolved(super().resolve_service_name, service, only_expand)
+
+    def serve(self, name, act) -> None:
+        """Offer a Trigger ``~/<name>``, also within this process; ``act()`` as of `trigger`."""
+        handler = self.health.guard(trigger(name, act))
+        self.create_service(Trigger, f'~/{name}', handler)
+        self.direct.services[self.resolve_service_name(f'~/{name}')] = handler
 
     def set_parameters_atomically(self, parameter_list) -> SetParametersResult:
         """
@@ -184,16 +192,14 @@ class NodeParameters:
         self._node.add_post_set_parameters_callback(guard(self._on_changed))
 
     def _coerce(self, parameters):
+        """Return parameters with whole numbers as doubles where doubles are meant."""
         return [self._as_double(parameter) for parameter in parameters]
 
     def _as_double(self, parameter):
-        key = self._keys.get(parameter.name)
-        if key is not None and parameter.type_ == Parameter.Type.INTEGER and key.kind == 'double':
-            return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
-        if (key is not None and parameter.type_ == Parameter.Type.INTEGER_ARRAY
-                and key.kind == 'double_array'):
-            return Parameter(parameter.name, Parameter.Type.DOUBLE_ARRAY,
-                             [float(item) for item in parameter.value])
+        name, kinds = parameter.name, Parameter.Type
+        if name in self._keys and (parameter.type_, self._keys[name].kind) in (
+                (kinds.INTEGER, 'double'), (kinds.INTEGER_ARRAY, 'double_array')):
+            return Parameter(name, value=np.asarray(parameter.value, dtype=float).tolist())
         return parameter
 
     def _candidate(self, parameters):

@@ -153,11 +153,9 @@ class DeviceLink:
                                            sample.effort, sample.stamp)
                 if self._unwritten is not None:
                     raise self._unwritten
-            except DeviceError as error:
-                self._break(error)
-                self._over.wait(_REOPEN_PERIOD)
             except Exception as error:  # noqa: B902  of a library we do not know
-                self._node.health.failed(error, f'device {self._name}')
+                if not isinstance(error, DeviceError):
+                    self._node.health.failed(error, f'device {self._name}')
                 self._break(error)
                 self._over.wait(_REOPEN_PERIOD)
 
@@ -181,12 +179,11 @@ class DeviceLink:
             return
         try:
             self._device.write(efforts)
-        except DeviceError as error:
-            self._unwritten = error
-            raise DeviceError(f'device {self._name}: {error}') from error
         except Exception as error:  # noqa: B902  of a library we do not know
-            self._unwritten = DeviceError(f'it failed to write: {error!r}')
-            raise DeviceError(f'device {self._name} failed to write: {error!r}') from error
+            failed, of_device = f'failed to write: {error!r}', isinstance(error, DeviceError)
+            self._unwritten = error if of_device else DeviceError(f'it {failed}')
+            raise DeviceError(f'device {self._name}' + (
+                f': {error}' if of_device else f' {failed}')) from error
 
     def beat(self) -> None:
         """Do nothing: a device ends its torque by itself."""

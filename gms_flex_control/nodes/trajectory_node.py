@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
 from gms_flex_control.hardware.supervision import ACTIVE, FAULT
 from gms_flex_control.nodes import joint_trajectory, messages, process, scheduling
-from gms_flex_control.nodes.health import DIAGNOSTICS, Health, OK, trigger
+from gms_flex_control.nodes.health import DIAGNOSTICS, Health, OK
 from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
 from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
 from gms_flex_control.nodes.reference_motion import LinkStates, LONGEST_PAUSE, ReferenceMotion
@@ -20,7 +20,6 @@ from gms_flex_control.trajectory.polynomials import require_within
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 # Elsewhere the state is answered meanwhile; what is published here is for the next one.
@@ -62,14 +61,13 @@ class TrajectoryNode(ConfiguredNode):
         self.health = Health(self, lambda: self._counts)
         self._reference_pub = Outlet(self, Float64MultiArray, 'reference', values['mode'])
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
-        hear = self.health.shield(self._on_diagnostics)
-        self.create_subscription(DiagnosticArray, DIAGNOSTICS, hear,
-                                 process.subscriber_qos('lockstep'),
-                                 event_callbacks=process.NO_EVENTS)
-        self.direct.hearers[DIAGNOSTICS].append(hear)
-        self.create_subscription(
-            JointTrajectory, '~/joint_trajectory', self.health.shield(self._on_joint_trajectory),
-            process.subscriber_qos('lockstep'), event_callbacks=process.NO_EVENTS)
+        for kind, topic, hear in (
+                (DiagnosticArray, DIAGNOSTICS, self._on_diagnostics),
+                (JointTrajectory, '~/joint_trajectory', self._on_joint_trajectory)):
+            hear = self.health.shield(hear)
+            self.create_subscription(kind, topic, hear, process.subscriber_qos('lockstep'),
+                                     event_callbacks=process.NO_EVENTS)
+            self.direct.hearers[topic].append(hear)
         self._serve_triggers()
 
         def judge(new):
@@ -91,9 +89,7 @@ class TrajectoryNode(ConfiguredNode):
                 ('stop', lambda: self._answer(self._motion.brake, 'comes to rest')),
                 ('reset', self._reset),
                 ('release', lambda: self._answer(self._motion.let_go, 'zero torque'))):
-            handler = self.health.guard(trigger(name, act))
-            self.create_service(Trigger, f'~/{name}', handler)
-            self.direct.services[self.resolve_service_name(f'~/{name}')] = handler
+            self.serve(name, act)
 
     def _serve_action(self):
         if joint_trajectory.FollowJointTrajectory is None:
