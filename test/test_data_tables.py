@@ -1,12 +1,10 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Messages decoded many at a time are what they are one by one; topics can be chosen."""
 
-import mmap
 from pathlib import Path
 
 from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag
-from gms_flex_control.data.mcap_file import Window
 from gms_flex_control.data.tables import ArrayTable, JointTable
 from gms_flex_control.errors import BagError
 import numpy as np
@@ -87,12 +85,3 @@ def test_a_bag_is_read_for_one_topic(storage):
     chosen = [row for batch in part.batches({'/joint_states'}) for row in batch]
     assert chosen == [row for row in every if row[0] == '/joint_states'] != every
     assert part.complete and part.topics == whole.topics
-
-
-def test_what_was_let_go_of_a_file_reads_the_same_again(tmp_path):
-    content = np.random.default_rng(0).bytes(20 * 1024**2 + 5)
-    (tmp_path / 'file').write_bytes(content)
-    with open(tmp_path / 'file', 'rb') as stream, \
-            mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        Window(data).reach(len(content))
-        assert data[:] == content

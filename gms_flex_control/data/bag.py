@@ -61,13 +61,8 @@ class SqliteFile(StorageFile):
     def _read(self, database):
         names = self._read_topics(database)
         rows = database.execute('SELECT topic_id, timestamp, data FROM messages ORDER BY id')
-        batch = []
-        for row in rows:
-            batch.append(row)
-            if len(batch) == 2000:
-                yield self._named(batch, names)
-                batch = []
-        yield self._named(batch, names)
+        while batch := rows.fetchmany(2000):
+            yield self._named(batch, names)
 
     def _named(self, rows, names):
         # a damaged page can yield rows of nonsense: without checksums no more can be checked

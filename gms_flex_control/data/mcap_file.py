@@ -7,7 +7,6 @@ A chunk that fails its checksum is left out and named.
 
 from collections.abc import Iterator
 from io import BytesIO
-import mmap
 import struct
 
 from gms_flex_control.data import metadata  # noqa: F401  it says what to install
@@ -30,21 +29,6 @@ _READERS = {Opcode.SCHEMA: records.Schema.read, Opcode.CHANNEL: records.Channel.
             Opcode.STATISTICS: records.Statistics.read}
 _MALFORMED = (McapError, ValueError, struct.error, UnicodeDecodeError, OverflowError,
               MemoryError, RuntimeError, EOFError)
-_WINDOW = 8 * 1024 ** 2  # what of a mapped file is resident at once [bytes]
-
-
-class Window:
-    """Let go of what was read of a mapped file, for its pages count as memory of the process."""
-
-    def __init__(self, data):
-        self._data, self._start = data, 0
-
-    def reach(self, at) -> None:
-        """Say that what is before byte ``at`` is done with."""
-        if at - self._start >= _WINDOW and hasattr(self._data, 'madvise'):
-            end = at - at % mmap.PAGESIZE
-            self._data.madvise(mmap.MADV_DONTNEED, self._start, end - self._start)
-            self._start = end
 
 
 class StorageFile:
@@ -83,14 +67,16 @@ class McapFile(StorageFile):
         self._only = only
         try:
             with open(self.path, 'rb') as stream:
-                if not stream.seek(0, 2):
+                length = stream.seek(0, 2)
+                if not length:
                     raise BagError(f'{self._original}: is empty (0 bytes)')
-                with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                    if data[:len(_MAGIC)] != _MAGIC[:len(data)]:
-                        raise BagError(f'{self._original}: is not an mcap file (begins with '
-                                       f'{data[:len(_MAGIC)].hex(" ")})')
-                    self._read_topics(stream)
-                    yield from self._scan(data)
+                stream.seek(0)
+                magic = stream.read(len(_MAGIC))
+                if not _MAGIC.startswith(magic):
+                    raise BagError(f'{self._original}: is not an mcap file (begins with '
+                                   f'{magic.hex(" ")})')
+                self._read_topics(stream)
+                yield from self._scan(stream, length)
         except OSError as error:
             raise BagError(f'{self._original}: cannot be read ({error.strerror})') from error
 
@@ -106,21 +92,22 @@ class McapFile(StorageFile):
             for channel in summary.channels.values():
                 self._add_channel(channel)
 
-    def _scan(self, data):
-        at, window = len(_MAGIC), Window(data)
+    def _scan(self, stream, length):
+        at = stream.seek(len(_MAGIC))
         while not self.complete:
-            window.reach(at)
-            opcode, size = _FRAME.unpack_from(data, at) if at + 9 <= len(data) else (-1, 0)
-            end = at + 9 + size
-            if opcode not in _OPCODES or end > len(data):
-                yield self._cut_off(data, at)
+            head = stream.read(_FRAME.size)
+            opcode, size = _FRAME.unpack(head) if len(head) == _FRAME.size else (-1, 0)
+            end = at + _FRAME.size + size
+            if opcode not in _OPCODES or end > length:
+                yield self._cut_off(opcode, stream)
                 break
+            body = stream.read(size)
             if opcode == Opcode.CHUNK:
-                yield self._chunk(data[at + 9:end], at)
+                yield self._chunk(body, at)
             elif opcode == Opcode.MESSAGE:
-                yield self._messages(data[at:end])[0]
+                yield self._messages(head + body)[0]
             else:
-                self._record(opcode, data[at + 9:end])
+                self._record(opcode, body)
                 self.complete = opcode == Opcode.FOOTER
             at = end
         if self._announced not in (None, self.found) and not self.damage:
@@ -194,12 +181,12 @@ class McapFile(StorageFile):
             at = end
         return messages, at
 
-    def _cut_off(self, data, at):
-        """Return the whole messages of the chunk the file ends in."""
-        messages, head = [], at + 9 + _CHUNK_HEAD.size
-        if head + 8 <= len(data) and data[at] == Opcode.CHUNK and not _CHUNK_HEAD.unpack_from(
-                data, at + 9)[4]:
-            messages, _ = self._messages(data[head + 8:])
+    def _cut_off(self, opcode, stream):
+        """Return the whole messages of the chunk the file ends in, its head read already."""
+        messages, head = [], stream.read(_CHUNK_HEAD.size)
+        if opcode == Opcode.CHUNK and len(head) == _CHUNK_HEAD.size and not _CHUNK_HEAD.unpack(
+                head)[4]:
+            messages, _ = self._messages(stream.read()[8:])
         self.notes.append(f'{self.label}: ends without its index after {self.found} messages '
                           '(still being written, recorder killed, or file cut off)')
         return messages

@@ -9,6 +9,7 @@ from gms_flex_control import friction as gms
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.bag import BagWarning
 from gms_flex_control.data.reader import joint_names, read_recording
+from gms_flex_control.data.recording import held
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports.page import decimate
@@ -308,7 +309,9 @@ def blocks_along(recording, friction) -> tuple:
     Eqs. (2) and (3), beginning unloaded; a missing rate is differenced, a missing angle held. It
     is the model's answer: blocks cannot be measured.
     """
-    angle = _held(recording.q_link)
+    begin = np.isfinite(recording.q_link).argmax(axis=0)[None, :]  # the first known angle
+    before = np.take_along_axis(recording.q_link, begin, axis=0)
+    angle = held(np.concatenate([before, recording.q_link]))[1:]
     step = np.diff(recording.time, prepend=recording.time[0] - recording.period)
     rate = np.array(recording.dq_link)
     missing = ~np.isfinite(rate)
@@ -319,12 +322,3 @@ def blocks_along(recording, friction) -> tuple:
            gms.constants_of(friction), gms.init(friction), np.zeros(angle.shape[1]), torque,
            sticking)
     return torque, sticking
-
-
-def _held(values):
-    """Return values (T, n) with the last known one, first of all the first, where missing."""
-    known = np.isfinite(values)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(values))[:, None], -1), axis=0)
-    first = np.where(known.any(axis=0), known.argmax(axis=0), 0)
-    held = np.take_along_axis(values, np.where(last < 0, first, last), axis=0)
-    return np.nan_to_num(held)
