@@ -13,8 +13,9 @@ class Table:
     """Columns that grow by blocks of messages; the first unreadable one ends it, and its error."""
 
     def __init__(self):
-        self._count, self._error, self._blocks = 0, None, []  # the first: messages seen
-        self.add([], [])
+        self._count = self._rows = 0  # messages seen, rows kept of them
+        self._error = None
+        self._columns = self._decoded([]) | {'received': np.zeros(0, dtype=np.int64)}
 
     def add(self, received, messages) -> None:
         """Decode a block of CDR messages (bytes) and their receive times [ns]."""
@@ -23,19 +24,26 @@ class Table:
         try:
             columns = self._decoded(messages)
         except BagError as error:
-            self._error, self._blocks = error, []
+            self._error, self._columns = error, {}
             return
         times = np.minimum(np.array(received, dtype=np.uint64), _FAR).astype(np.int64)
         columns['received'] = times[columns['rows']]
         columns['rows'] += self._count
-        self._blocks.append(columns)
+        stop = self._rows + len(columns['rows'])
+        for name, column in columns.items():
+            if stop > len(self._columns[name]):
+                longer = np.empty((2 * stop, *column.shape[1:]), dtype=column.dtype)
+                longer[:self._rows] = self._columns[name][:self._rows]
+                self._columns[name] = longer  # memory is taken as it is written
+            self._columns[name][self._rows:stop] = column
+        self._rows = stop
         self._count += len(messages)
 
     def take(self, name) -> np.ndarray:
         """Return a column (T, ...) and forget it; BagError if a message could not be read."""
         if self._error is not None:
             raise self._error
-        return np.concatenate([block.pop(name) for block in self._blocks])
+        return self._columns.pop(name)[:self._rows]
 
     def _decoded(self, messages):
         """Return the columns of a block, ``rows`` counted from its start."""
