@@ -69,13 +69,13 @@ def _read(path, joints, motors, topics=None):
     phases = space + cdr.PHASE_TOPIC
     series = Series(bag, topics or Topics().within(space), joints, motors)
     series.collect({phases: messages})
-    series.require_names()
+    known = series.names
     bag.warn()
-    joints, motors = series.resolved()
+    joints, motors = series.sides
     begin, columns = _columns(path, series, motors)
-    series.note_others(joints, motors)
+    series.note_others()
     recording = on_even_clock(Recording(joints=joints, source=str(path), **columns))
-    recording = with_conditions(recording, conditions_of(path), motors, series.require_names())
+    recording = with_conditions(recording, conditions_of(path), motors, known)
     return recording, begin, bag, (phases, messages)
 
 
@@ -102,7 +102,7 @@ def _columns(path, series, motors):
     series.refuse_renamed(stamps, columns['q_motor'])
     columns['tau_motor'] = np.where([not name for name in motors], *series.states('effort', order))
     columns['command'] = series.commands(stamps, received, period)
-    joints = series.resolved()[0]
+    joints = series.sides[0]
     driven = [motor or joint for joint, motor in zip(joints, motors, strict=True)]
     for name, values in columns.items():
         if name != 'time':

@@ -1,6 +1,7 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The topics of one recording as arrays, and what of them belongs to which joint state."""
 
+from functools import cached_property
 from math import factorial
 from typing import NamedTuple
 import warnings
@@ -151,10 +152,10 @@ class Series:
     def _make_tables(self):
         """Return a table for each of the topics, none if the joints are not known."""
         try:
-            joints, _ = self.resolved()
+            joints, _ = self.sides
         except BagError:  # raised again once the bag is known to be sound
             return ()
-        n, links = len(joints), link_names(self.require_names())
+        n, links = len(joints), link_names(self.names)
         self._unclaimed = {name: JointTable((name,), ('position',)) for name in self._not_named()}
         self._places = [links.index(name) for name in joints] if set(joints) < set(links) else None
         widest = n if self._places is None else len(links)
@@ -185,13 +186,15 @@ class Series:
         narrow = np.all(np.isnan(values[..., len(self._places):]), axis=-1, keepdims=True)
         return np.where(narrow, values[..., :len(self._places)], values[..., self._places])
 
-    def require_names(self) -> tuple:
+    @cached_property
+    def names(self) -> tuple:
         """Return the names of the first joint state, or raise BagError."""
         return names_of(self._bag, self._first, self.topics)
 
-    def resolved(self) -> tuple:
+    @cached_property
+    def sides(self) -> tuple:
         """Return joint and motor names as wanted, one motor a joint, '' where absent."""
-        names, (joints, motors) = self.require_names(), self._chosen
+        names, (joints, motors) = self.names, self._chosen
         if joints is None:
             joints = link_names(names) if motors is None else [
                 name for name in names if name not in motors]
@@ -215,18 +218,16 @@ class Series:
 
     def _lone(self):
         """Return the motor of each joint that has no link angle, by the joint's name (dict)."""
-        names = self.require_names()
-        return {joint: motor for joint, motor in zip(*self.resolved(), strict=True)
-                if joint not in names and motor in names}
+        return {joint: motor for joint, motor in zip(*self.sides, strict=True)
+                if joint not in self.names and motor in self.names}
 
     def _not_named(self):
         """Return names that may be those of links without an angle, none if all have one."""
         if not self._lone():
             return []
-        names, (joints, motors) = self.require_names(), self.resolved()
-        others = {*names} - {*joints, *motors}
-        return [name for name in names if name in others and not name.endswith(MOTOR_SUFFIX)
-                and name + MOTOR_SUFFIX not in others]
+        others = {*self.names}.difference(*self.sides)
+        return [name for name in self.names if name in others
+                and not name.endswith(MOTOR_SUFFIX) and name + MOTOR_SUFFIX not in others]
 
     def refuse_renamed(self, stamps, q_motor) -> None:
         """
@@ -235,7 +236,7 @@ class Series:
         As many as lack one must be named like a motor, or move along with one, ``q_motor`` (T, n):
         a gripper does not, and further joints on the same course are more.
         """
-        lone, joints, along = self._lone(), self.resolved()[0], {}
+        lone, joints, along = self._lone(), self.sides[0], {}
         for name, table in self._unclaimed.items():
             times, angles = table.take('stamps'), table.take('position')[:, 0]
             _, here, there = np.intersect1d(stamps, times, return_indices=True)
@@ -251,9 +252,9 @@ class Series:
                 f'{", ".join(map(repr, lone))} but has {", ".join(alike)}, which the robot does '
                 'not; rename in `joints`, or give --joints')
 
-    def note_others(self, joints, motors) -> None:
+    def note_others(self) -> None:
         """Issue a BagWarning if there are more joints than those that were asked for."""
-        others = [name for name in self.require_names() if name not in {*joints, *motors}]
+        others = [name for name in self.names if not any(name in side for side in self.sides)]
         if others and self._chosen[0] is not None:
             warnings.warn(f'{self._path}: topic {self.topics.joint_states!r} has '
                           f'{", ".join(others)} as well, which this robot has not: left out',
@@ -298,24 +299,18 @@ class Series:
     def states(self, name, rows) -> tuple:
         """Return position, velocity or effort of links and of motors, (T, n) each, or NaN."""
         known, there = self._take('joint_states', name)[0], self._there()
-        sides = []
-        for wanted in self.resolved():
-            values = np.full((len(rows), len(wanted)), np.nan)
-            for k, one in enumerate(wanted):
-                if one in there:
-                    values[:, k] = known[rows, there.index(one)]
-            sides.append(values)
-        return tuple(sides)
+        unknown = np.full(len(rows), np.nan)
+        return tuple(np.stack([known[rows, there.index(one)] if one in there else unknown
+                               for one in side], axis=1) for side in self.sides)
 
     def _there(self):
-        (joints, motors), names = self.resolved(), self.require_names()
-        return [name for name in (*joints, *motors) if name and name in names]
+        return [name for side in self.sides for name in side if name and name in self.names]
 
     def commands(self, stamps, received, period) -> np.ndarray:
         """Return the command that answers each state, shape (T, n)."""
         answers = _Answers(*self._take('command', *_Answers._fields))
         answers = answers._replace(values=self._own(answers.values))
-        return _answering(stamps, received, period, answers, len(self.resolved()[0]))
+        return _answering(stamps, received, period, answers, len(self.sides[0]))
 
     def reference(self, stamps, received, period) -> np.ndarray:
         """Return the reference at the states, shape (T, 5, n)."""

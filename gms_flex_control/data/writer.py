@@ -260,22 +260,17 @@ def _series(recording, motors, stamps, topics, source):
         names, stamps, np.hstack([recording.q_link[:, seen], recording.q_motor[:, sides]]),
         np.hstack([recording.dq_link[:, seen], recording.dq_motor[:, sides]]),
         np.hstack([link_effort[:, seen], recording.tau_motor[:, sides]]))
-    if not np.all(np.isnan(recording.reference)):
-        yield topics.reference, cdr.MULTI_ARRAY, _packed(
-            recording.reference, stamps, cdr.pack_reference)
-    if not np.all(np.isnan(recording.command)):
-        yield topics.command, cdr.MULTI_ARRAY, _packed(
-            recording.command, stamps,
-            lambda torque, stamp: cdr.pack_command(torque.tolist(), stamp, source))
-    if not np.all(np.isnan(recording.supply)):
-        yield topics.supply, cdr.MULTI_ARRAY, _packed(recording.supply, stamps, cdr.pack_supply)
+    for topic, values, pack in (
+            (topics.reference, recording.reference, cdr.pack_reference),
+            (topics.command, recording.command, lambda torque, stamp: cdr.pack_command(
+                torque.tolist(), stamp, source)),
+            (topics.supply, recording.supply, cdr.pack_supply)):
+        if not np.all(np.isnan(values)):
+            yield topic, cdr.MULTI_ARRAY, [
+                None if np.all(np.isnan(value)) else pack(value, stamp)
+                for value, stamp in zip(values, stamps.tolist(), strict=True)]
     if not np.all(np.isnan(recording.friction_hat)):
         error = recording.q_link - recording.reference[:, 0]
         rate = recording.dq_link - recording.reference[:, 1]
         yield topics.controller_state, cdr.JOINT_STATE, cdr.pack_joint_states(
             recording.joints, stamps, error, rate, recording.friction_hat)
-
-
-def _packed(values, stamps, pack):
-    return [None if np.all(np.isnan(value)) else pack(value, stamp)
-            for value, stamp in zip(values, stamps.tolist(), strict=True)]

@@ -277,6 +277,3 @@ class IdentificationNode(ConfiguredNode):
         end = time.monotonic() + _GOODBYE
         while not future.done() and time.monotonic() < end:
             self._spinner.spin_once(0.02)
-
-    def finish(self) -> None:
-        """End: whatever stopped the experiment has asked for zero torque."""

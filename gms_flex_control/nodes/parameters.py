@@ -89,6 +89,9 @@ class ConfiguredNode(Node):
         self.create_service(Trigger, f'~/{name}', handler)
         self.direct.services[self.resolve_service_name(f'~/{name}')] = handler
 
+    def finish(self) -> None:
+        """Leave zero torque on the wire, where this node gives torque."""
+
     def set_parameters_atomically(self, parameter_list) -> SetParametersResult:
         """
         Set all or none, as services ask; a refusal says the way out, as those of rclpy do not.

@@ -202,7 +202,11 @@ def record(out, topics=None, *, duration=None, say=print) -> dict:
             raise BagError(f'{name!r}: {reason}') from error
     end = float('inf') if duration is None else time.monotonic() + duration
     stopped = threading.Event()
-    previous = _stop_on_signals(stopped)
+    # no exception: it would hit the callback of a message and lose it, or the closing of the bag
+    # at the second signal that ros2 launch sends; nor SIG_IGN before that is over: of signals
+    # that come together Python would complain with a traceback
+    previous = {number: signal.signal(number, lambda *_: stopped.set())
+                for number in (signal.SIGINT, signal.SIGTERM)}
     end_with_launch()
     try:
         with BagWriter(out) as writer, hidden_node('recorder') as (node, executor):
@@ -228,19 +232,6 @@ def _spin(recorder, executor, is_over):
             executor.spin_until_future_complete(Future(), timeout_sec=_LOOK_PERIOD)
     if rclpy.ok():
         executor.spin_until_future_complete(Future(), timeout_sec=_GRACE_PERIOD)
-
-
-def _stop_on_signals(stopped):
-    """Let SIGINT and SIGTERM set ``stopped``; return the handlers they had."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-
-    def stop(_number, _frame):
-        # no exception: it would hit the callback of a message and lose it, or the closing of the
-        # bag at the second signal that ros2 launch sends; nor SIG_IGN before that is over: of
-        # signals that come together Python would complain with a traceback
-        stopped.set()
-
-    return {number: signal.signal(number, stop) for number in numbers}
 
 
 def _absolute(name):

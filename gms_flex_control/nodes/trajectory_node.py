@@ -239,6 +239,3 @@ class TrajectoryNode(ConfiguredNode):
     def _rest_at_robot(self):
         self._motion.rest_at_robot()
         self._publish(self._motion.published)  # nobody follows what was foreseen before
-
-    def finish(self) -> None:
-        """End: a controller whose reference stops sends zero torque by itself."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.file_io import plain
 from gms_flex_control.params.gains import GAINS
-from gms_flex_control.reports.figure_style import COLOURS, panels_of, STYLES, WIDTH
+from gms_flex_control.reports.figure_style import COLOURS, finished, panels_of, STYLES, WIDTH
 from gms_flex_control.schema.build import controller_values
 from gms_flex_control.tuning.linear_loop import linear_loop
 from gms_flex_control.tuning.margins import joint_margins, open_loop, poses
@@ -210,14 +210,11 @@ def tuning_figure(robot, gains, timing) -> Figure:
     lower.axhline(-180.0, color='0.3', linewidth=0.8)
     upper.set_ylabel('|L|')
     lower.set_ylabel('phase [deg]')
+    upper.set_xlim(grid[0], grid[-1])
+    upper.legend()
+    finished(figure, (upper, lower), f'Loop of each joint, {1.0 / timing.period:.0f} Hz, '
+             f'{1e3 * timing.delay:g} ms of delay, in all poses')
     lower.set_xlabel('frequency [rad/s]')
-    upper.legend(frameon=False, fontsize=8.5)
-    for panel in (upper, lower):
-        panel.grid(color='0.9', linewidth=0.6)
-        panel.tick_params(which='both', direction='in', top=True, right=True, labelsize=9)
-        panel.set_xlim(grid[0], grid[-1])
-    figure.suptitle(f'Loop of each joint, {1.0 / timing.period:.0f} Hz, '
-                    f'{1e3 * timing.delay:g} ms of delay, in all poses', fontsize=11)
     return figure
 
 

@@ -45,7 +45,7 @@ def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin='') -> str
         SubElement(SubElement(root, 'material', name=material), 'color', rgba=colour)
     size = _sizes(robot.arm)
     base = SubElement(root, 'link', name=BASE)
-    _visual(base, 'base', _cylinder(0.3 * size[0], 0.02), (0.0, 0.0, -0.03))
+    _visual(base, 'base', (0.0, 0.0, -0.03), cylinder=(0.3 * size[0], 0.02))
     for j in range(robot.n_joints):
         _add_link(root, robot, j, size)
         if motors and not robot.arm.rigid[j]:
@@ -104,8 +104,7 @@ def _add_link(root, robot, j, size):
     arm = robot.arm
     parent, place = _frame(robot, j, size)
     link = SubElement(root, 'link', name=_link_name(robot, j))
-    _visual(link, 'link', {'box': {'size': _text(size[j], 0.12 * size[j], 0.02)}},
-            (0.5 * size[j], 0.0, 0.0))
+    _visual(link, 'link', (0.5 * size[j], 0.0, 0.0), box=(size[j], 0.12 * size[j], 0.02))
     inertia = arm.inertia[j]
     if arm.axes == 'linear':
         _inertial(link, inertia, 0.0, (0.0,) * 3)
@@ -123,9 +122,8 @@ def _add_motor(root, robot, j, size):
     arm, motor = robot.arm, robot.motors[j]
     parent, place = _frame(robot, j, size)
     rotor = SubElement(root, 'link', name=f'{motor}_link')
-    _visual(rotor, 'motor', _cylinder(0.12 * size[j], 0.03), (0.0, 0.0, 0.03))
-    _visual(rotor, 'motor', {'box': {'size': _text(0.3 * size[j], 0.02, 0.01)}},
-            (0.15 * size[j], 0.0, 0.05))
+    _visual(rotor, 'motor', (0.0, 0.0, 0.03), cylinder=(0.12 * size[j], 0.03))
+    _visual(rotor, 'motor', (0.15 * size[j], 0.0, 0.05), box=(0.3 * size[j], 0.02, 0.01))
     slides, inertia = arm.axes == 'linear', arm.motor_inertia[j]
     _inertial(rotor, slides * inertia, 0.0, ((not slides) * inertia,) * 3)
     joint = _joint(root, arm, j, motor, parent, f'{motor}_link', place)
@@ -192,16 +190,16 @@ def _inertial(link, mass, com, diagonal):
     SubElement(inertial, 'inertia', ixx=ixx, ixy='0', ixz='0', iyy=iyy, iyz='0', izz=izz)
 
 
-def _visual(link, material, geometry, place):
+def _visual(link, material, place, *, box=None, cylinder=None):
+    """Add a shape: the sides of a box, or radius and length of a cylinder [m]."""
     visual = SubElement(link, 'visual')
     SubElement(visual, 'origin', xyz=_text(*place))
-    (shape, attributes), = geometry.items()
-    SubElement(SubElement(visual, 'geometry'), shape, attributes)
+    geometry = SubElement(visual, 'geometry')
+    if box:
+        SubElement(geometry, 'box', size=_text(*box))
+    else:
+        SubElement(geometry, 'cylinder', radius=_text(cylinder[0]), length=_text(cylinder[1]))
     SubElement(visual, 'material', name=material)
-
-
-def _cylinder(radius, length):
-    return {'cylinder': {'radius': _text(radius), 'length': _text(length)}}
 
 
 def _text(*numbers):

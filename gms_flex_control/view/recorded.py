@@ -152,12 +152,9 @@ def beside(recording, time, number) -> dict:
 
 def present(columns) -> dict:
     """Return for each of PER_JOINT, ``block`` and ``stick`` whether it has a number anywhere."""
-    found = dict.fromkeys((*PER_JOINT, 'block', 'stick'), False)
-    for name, values in columns.items():
-        signal = name.partition('.')[0]
-        if signal in found and not found[signal]:
-            found[signal] = bool(np.isfinite(values).any())
-    return found
+    known = {name.partition('.')[0] for name, values in columns.items()
+             if np.isfinite(values).any()}
+    return {signal: signal in known for signal in (*PER_JOINT, 'block', 'stick')}
 
 
 CHUNK = 1024         # samples of one answer with frames, about
@@ -216,16 +213,13 @@ class BagView:
         self._time = self._columns['time']
         self._period = recording.period
         self._scene, self._notes, self._title = scene, list(notes), title
-        blocks = next((values.shape[2] for values in (sticking, torque) if values is not None), 0)
-        self._names = column_names(recording.n_joints, blocks)
+        blocks = 0 if sticking is None else sticking.shape[2]
         self._over = len(over)
         for number, other in enumerate(over, start=1):
-            columns = beside(other, self._time, number)
-            self._columns |= columns
-            self._names += columns
-        found = present(self._columns)
+            self._columns |= beside(other, self._time, number)
         self._summary = {
-            'signals': found, 'blocks': {'count': blocks, 'origin': 'model' if blocks else ''},
+            'signals': present(self._columns),
+            'blocks': {'count': blocks, 'origin': 'model' if blocks else ''},
             'torsion': self._largest('torsion'), 'load': self._largest('block'),
             'extent': extent(scene, recording.q_link)}
 
@@ -237,7 +231,7 @@ class BagView:
     def session(self) -> dict:
         """Return what the page has to know before it draws, as a dict for JSON."""
         return {'mode': 'bag', 'title': self._title, 'notes': self._notes,
-                'scene': self._scene.as_dict(), 'columns': self._names, 'begin': 0.0,
+                'scene': self._scene.as_dict(), 'columns': list(self._columns), 'begin': 0.0,
                 'end': float(self._time[-1]), 'period': self._period, 'chunk': CHUNK,
                 'controller': '', 'over': self._over, **self._summary}
 
@@ -265,22 +259,15 @@ class BagView:
             return self._table(slice(first, last))
         time = self._time[first:last]
         edges = np.linspace(0, len(time), points // 2 + 1).astype(int)[:-1]
-        extremes = [name for name in self._names[1:]
-                    if name in self._columns and not name.startswith('stick')]
-        grid, values = decimate(time, [self._columns[name][first:last] for name in extremes],
-                                points)
-        lines = dict(zip(extremes, values, strict=True))
-        for name in self._names:
-            if name.startswith('stick') and name in self._columns:
-                lines[name] = np.repeat(_means(self._columns[name][first:last], edges), 2)
-        nothing = np.full(len(grid), np.nan)
-        return np.stack([grid, *(lines.get(name, nothing) for name in self._names[1:])])
+        shown = {name: values[first:last] for name, values in self._columns.items()}
+        extremes = [name for name in shown if name != 'time' and not name.startswith('stick')]
+        grid, values = decimate(time, [shown[name] for name in extremes], points)
+        lines = {'time': grid, **dict(zip(extremes, values, strict=True))}
+        return np.stack([lines[name] if name in lines else np.repeat(_means(one, edges), 2)
+                         for name, one in shown.items()])
 
     def _table(self, rows):
-        time = self._time[rows]
-        nothing = np.full(len(time), np.nan)
-        return np.stack([self._columns[name][rows] if name in self._columns else nothing
-                         for name in self._names]).astype(float)
+        return np.stack([values[rows] for values in self._columns.values()]).astype(float)
 
 
 def _means(values, edges):
