@@ -180,18 +180,18 @@ def test_a_function_at_the_noise_floor_is_nothing(monkeypatch, left, free_run, i
     assert found == (('slide',) if is_there else None)
 
 
-@pytest.mark.parametrize(('was_open', 'is_open', 'left', 'is_better'), [
-    (True, False, 0.9, True), (True, False, 0.99, False), (True, True, 0.9, False),
-    (False, False, 0.9, False)])
-def test_friction_anew_takes_more_effects_only_where_these_leave_nothing(
-        was_open, is_open, left, is_better):
-    """And predict clearly better."""
+@pytest.mark.parametrize(('was_open', 'more', 'left', 'is_better'), [
+    (True, 1, 0.97, True), (True, 1, 0.98, False), (True, 2, 0.97, False), (True, 2, 0.95, True),
+    (False, 1, 0.9, False), (False, 0, 0.97, True), (False, -1, 1.0, True)])
+def test_beside_friction_anew_each_effect_more_has_to_predict_better(
+        was_open, more, left, is_better):
+    """By 5 % of torque or free runs, and only where something is left without them."""
     def answer(is_open, count, error):
         gap = dict.fromkeys(('after', 'free_after'), np.array([error]))
         noise = dict.fromkeys(('floor', 'free_floor'), np.zeros(1))
         return SimpleNamespace(is_open=is_open, added=(1,), gap=SimpleNamespace(**gap, **noise),
                                robot=SimpleNamespace(effects=(None,) * count))
-    found, other = answer(was_open, 2, 1.0), answer(is_open, 3, left)
+    found, other = answer(was_open, 2, 1.0), answer(True, 2 + more, left)
     assert friction_anew._is_better(other, found) == is_better
 
 

@@ -104,19 +104,20 @@ def _is_better(other, found):
     """
     Return whether a Discrepancy has fewer effects than another, or predicts clearly better.
 
-    It has no more of them, unless nothing is left beside it, and neither torque nor free runs are
-    clearly worse. Friction was fitted to what the gap is measured on, unless that is another
-    recording: more effects fit that alone. Where something is left, it names something if the
-    other does.
+    Neither torque nor free runs are clearly worse. Friction was fitted to what the gap is measured
+    on, unless that is another recording: more effects fit that alone. So it has more of them only
+    beside something that is left, and each predicts clearly better. Where something is left, it
+    names something if the other does.
     """
     if other.is_open and found.added and not other.added:
         return False
-    fewer = len(found.robot.effects) - len(other.robot.effects)
+    more = len(other.robot.effects) - len(found.robot.effects)
+    if more > 0 and not found.is_open:
+        return False
     gains = np.nan_to_num([_gain(name, floor, other.gap, found.gap) for name, floor in (
         ('after', 'floor'), ('free_after', 'free_floor'))])
     clearly = np.log1p(NOT_CLEARLY)
-    return ((fewer >= 0 or found.is_open and not other.is_open) and gains.min() > -clearly
-            and (fewer > 0 or gains.sum() > clearly))
+    return gains.min() > -clearly and (more < 0 or gains.sum() > max(more, 1) * clearly)
 
 
 def _gain(name, floor, *gaps):
