@@ -130,7 +130,8 @@ class Safety:
 
     def _listen(self, qos, group):
         def on_button(first):
-            messages = [data[4:5] for data in (first, *all_waiting(subscription, 2 * DEPTH))]
+            further = (data for data, _ in all_waiting(subscription, 2 * DEPTH))
+            messages = [data[4:5] for data in (first, *further)]
             if any(data != _RELEASED for data in messages):
                 self._robot.button(True, self._topic)
             if messages[-1] == _RELEASED:

@@ -2,6 +2,7 @@
 """Motions by the parameters of the other nodes: the steps of an experiment, or one recorded."""
 
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 import time
 
@@ -232,13 +233,10 @@ def drive_motion(parameters: dict, duration: float, bag: str | Path, *, patience
     RunError if the nodes are missing, refuse the motion, or fall silent, after ``~/stop`` has been
     called; BagError if the bag cannot be written.
     """
-    with hidden_node('next') as (node, executor), BagWriter(bag) as writer:
-        recorder = Recorder(node, writer, list(TOPICS), say)
-        try:
-            _Runner(node, executor, recorder, patience).run(
-                parameters | {'trajectory.approach_time': APPROACH}, duration)
-        finally:
-            recorder.close()
+    with (hidden_node('next') as (node, executor), BagWriter(bag) as writer,
+          closing(Recorder(node, writer, list(TOPICS), say)) as recorder):
+        _Runner(node, executor, recorder, patience).run(
+            parameters | {'trajectory.approach_time': APPROACH}, duration)
 
 
 class _Runner:

@@ -95,13 +95,13 @@ class Outlet:
 
 
 def all_waiting(subscription, most) -> Iterator:
-    """Yield the raw messages (bytes) that wait, ``most`` at most; their events find nothing."""
+    """Yield what waits, raw messages (bytes) and what is known of each, ``most`` at most."""
     take, kind = subscription.handle.take_message, subscription.msg_type
     for _ in range(most):
         taken = take(kind, True)
-        if taken is None:
+        if taken is None:  # the events of those taken find nothing
             return
-        yield taken[0]
+        yield taken
 
 
 class Inbox:
@@ -133,7 +133,7 @@ class Inbox:
 
     def _empty(self, first):
         """Take ``first`` (bytes) without delay, then what waits here and elsewhere."""
-        self._take([first])
+        self._take([(first, None)])
         self._take(self._waiting())
         for box in self._boxes:
             if box is not self:
@@ -144,7 +144,7 @@ class Inbox:
 
     def _take(self, messages):
         fixed, looks, good = _FIXED[self._kind], self._looks, []
-        for data in messages:
+        for data, _ in messages:
             if (len(data), data[fixed]) in looks:
                 good.append(data)
             else:

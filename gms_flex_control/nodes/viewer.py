@@ -16,7 +16,7 @@ from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.remote import answer_of, RemoteNode
-from gms_flex_control.nodes.topics import stamp_in
+from gms_flex_control.nodes.topics import all_waiting, stamp_in
 from gms_flex_control.schema.build import robot_from_values
 from gms_flex_control.schema.keys import robot_keys
 from gms_flex_control.view.live import Feed, JointStateTable, SPACING, Status
@@ -214,15 +214,10 @@ class _Listener:
 
     def take_all(self) -> None:
         """Take all messages that wait, in the order in which they came."""
-        waiting = []
-        for subscription, handler in self._heard_topics:
-            take, kind = subscription.handle.take_message, subscription.msg_type
-            for _ in range(_DEPTH):
-                taken = take(kind, True)
-                if taken is None:
-                    break
-                waiting.append((taken[1]['received_timestamp'], handler, taken[0]))
-        waiting.sort(key=itemgetter(0))
+        waiting = sorted(((known['received_timestamp'], handler, data)
+                          for subscription, handler in self._heard_topics
+                          for data, known in all_waiting(subscription, _DEPTH)),
+                         key=itemgetter(0))
         for _, handler, data in waiting:
             with suppress(_BytesError):
                 handler(data)

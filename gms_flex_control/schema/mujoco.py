@@ -102,9 +102,10 @@ def _torque_gain(joint, error):
     joint.drive.gain *= 1.0 + error
 
 
-def _backlash(joint, half_gap):
+def _widen(joint, down, up):
+    """Move the ends of the range in which the spring is unloaded."""
     low, high = joint.spring.rest
-    joint.spring.rest = low - half_gap, high + half_gap
+    joint.spring.rest = low - down, high + up
 
 
 def _spring_hysteresis(joint, force, reach):
@@ -112,16 +113,12 @@ def _spring_hysteresis(joint, force, reach):
         joint.spring.parallel.append((force, reach))
 
 
-def _spring_offset(joint, offset):
-    low, high = joint.spring.rest
-    joint.spring.rest = low - offset, high - offset
-
-
 _DRIVE, _SPRING = attrgetter('drive'), attrgetter('spring')
 # what each effect changes; the order is that of the robot file within a stage
 EFFECTS = {
     'actuator_lag': _add('lag', _DRIVE), 'actuator_saturation': _actuator_saturation,
-    'backlash': _backlash, 'constant_link_torque': _add('link_torque'),
+    'backlash': lambda joint, half_gap: _widen(joint, half_gap, half_gap),
+    'constant_link_torque': _add('link_torque'),
     'end_stop': lambda joint, *stop: joint.stops.append(stop),
     'friction_hysteresis': _friction_hysteresis,
     'input_delay': _add('delay', _DRIVE), 'motor_coulomb': _add('motor_loss'),
@@ -129,7 +126,8 @@ EFFECTS = {
     'quadratic_drag': _add('drag'), 'spring_cubic': _add('cubic', _SPRING),
     'spring_damping': _add('damping', _SPRING),
     'spring_hysteresis': _spring_hysteresis,
-    'spring_offset': _spring_offset, 'torque_gain': _torque_gain,
+    'spring_offset': lambda joint, offset: _widen(joint, offset, -offset),
+    'torque_gain': _torque_gain,
     **dict.fromkeys(
         ('torque_ripple', 'torque_ripple_2', 'torque_ripple_3'),
         lambda joint, *ripple: joint.ripples.append(ripple)),
