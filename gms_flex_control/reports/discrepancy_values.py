@@ -4,6 +4,7 @@
 from gms_flex_control import __version__
 from gms_flex_control.discrepancy.describe import angle_scale, named, torque_scale
 from gms_flex_control.discrepancy.residual_views import over_of
+from gms_flex_control.effects.registry import find
 from gms_flex_control.file_io import plain
 from gms_flex_control.schema.files import save_robot, wrapped
 
@@ -61,6 +62,13 @@ def _finding_values(finding, joints):
         'discriminated_by': finding.discriminated_by,
         'rms_before': _by_joint(joints, finding.residual.before),
         'rms_after': _by_joint(joints, finding.residual.after)}
+
+
+def described(spec) -> dict:
+    """Return an EffectSpec as a dict of effect, joint and parameters by name."""
+    names = [parameter.name for parameter in find(spec.name).parameters]
+    return {'effect': spec.name, 'joint': spec.joint,
+            'parameters': dict(zip(names, spec.values, strict=True))}
 
 
 def over_values(one) -> dict:
