@@ -72,7 +72,7 @@ def state_of_errors(torque, free, *effects):
     specs = tuple(SimpleNamespace(key=one, joint=one[1]) for one in effects)
     return SimpleNamespace(
         key=lambda known: frozenset(effects),
-        model=SimpleNamespace(x=np.zeros(1), robot=SimpleNamespace(effects=specs)),
+        model=SimpleNamespace(x=np.zeros(1), robot=SimpleNamespace(effects=specs), left=torque),
         errors=Errors(torque, torque, free, float(np.sum(torque ** 2) * np.sum(free ** 2))))
 
 
@@ -104,6 +104,26 @@ def test_an_effect_that_held_out_data_do_not_touch_is_written(monkeypatch):
     monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): given)
     monkeypatch.setattr(workflow, 'as_before', lambda likelihood, state, before: untouched)
     assert written_of(tuned, best, effect) == (untouched, tuned)
+
+
+@pytest.mark.parametrize(('left', 'is_written'), [(1.4, False), (0.9, True)])
+def test_an_effect_beside_other_parameters_explains_what_was_fitted(
+        monkeypatch, left, is_written):
+    """
+    A gain found beside friction of another level is none beside the level without it.
+
+    Blocks left out do not show it: they judge a State whose parameters are fitted anew.
+    """
+    gain = ('torque_gain', 'a')
+    given, tuned = state_of_errors((1.0, 1.0), (1.0, 1.0)), state_of_errors((1.0, 1.0), (1.0, 1.0))
+    best = state_of_errors((0.8, 1.0), (1.0, 3.0), gain)
+    beside = state_of_errors((0.8, 1.0), (1.0, 1.0), gain)
+    beside.model.left = np.array([left, 1.0])
+    monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): (
+        given if state is tuned else best))
+    monkeypatch.setattr(workflow, 'as_before', lambda likelihood, state, before: beside)
+    monkeypatch.setattr(workflow, 'subsets', lambda *given: ())
+    assert written_of(tuned, best, gain)[0] is (beside if is_written else given)
 
 
 @pytest.mark.parametrize(('left', 'is_taken'), [(0.76, False), (0.5, True)])
@@ -214,6 +234,7 @@ def written_of(before, best, effect, *further, alone=None, widely=True):
                             _replace=lambda best: None)
     named = {effect: SimpleNamespace(main=True, values=())} if effect else {}
     with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(workflow, 'torque_rms', lambda likelihood, model: model.left)
         for name, answer in {'acts_widely': widely, 'acts_like': True,
                              'with_fewer': alone}.items():
             patched.setattr(workflow.worth, name, lambda *given, answer=answer: answer)

@@ -25,7 +25,7 @@ from gms_flex_control.discrepancy.findings import (
 )
 from gms_flex_control.discrepancy.fitting import is_within, with_white_noise
 from gms_flex_control.discrepancy.friction_anew import with_friction_anew
-from gms_flex_control.discrepancy.gap import HeldOut
+from gms_flex_control.discrepancy.gap import HeldOut, torque_rms
 from gms_flex_control.discrepancy.likelihood import Likelihood, Residuals
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
@@ -312,7 +312,7 @@ class _Choice:
         if not found.best.key(self._likelihood.known):
             return []
         of_named = {joint for _, joint in self._named if joint in joints}
-        pairs = [(as_before(self._likelihood, found.best, found.before), found.before), *(
+        pairs = [*self._as_before(), *(
             tuple(self._as_given(state, but) for state in (found.best, found.before))
             for but in ((), of_named))]
         pairs = [pair for pair in pairs if self._may_be(*pair)]
@@ -320,6 +320,19 @@ class _Choice:
             return pairs
         parts = islice(subsets(self._likelihood, found, self._held_out, self._as_given), _SIZES)
         return [(one, self._given) for one in parts if self._may_be(one, self._given)]
+
+    def _as_before(self):
+        """
+        Return the pair of States with effects found beside parameters re-tuned without, or none.
+
+        Blocks left out judge a State fitted anew without them, which no State is that is written
+        as it is: effects that were found beside other parameters may leave more than is there.
+        """
+        before = self._found.before
+        state = as_before(self._likelihood, self._found.best, before)
+        left, alone = (np.sum((torque_rms(self._likelihood, one.model)
+                               / self._likelihood.coulomb) ** 2) for one in (state, before))
+        return [(state, before)] if left <= (1.0 + thresholds.NOT_CLEARLY) ** 2 * alone else []
 
     def _best_of_each_size(self):
         """Return the likeliest State of each number of effects, the smallest ones."""
