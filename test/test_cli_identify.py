@@ -10,7 +10,7 @@ from gms_flex_control.cli.main import main
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_robot, save_robot, save_values
-from identified_axis import axis, experiment, JOINT
+from identified_axis import axis, experiment, JOINT, pendulum
 import numpy as np
 import pytest
 
@@ -137,3 +137,32 @@ def test_a_poor_bag_never_gives_a_confident_wrong_number(tmp_path, capsys, words
             reported = estimate['flags'] or low <= truth <= high
             assert near or (reported and name in ('velocity', 'viscous')), (
                 f'{side}.{name} is {truth}, estimated {estimate}')
+
+
+def test_joints_of_an_unknown_robot_that_stand_still_are_left_out(tmp_path, capsys):
+    """Of six joints moved one by one each bag has one; noise is no motion."""
+    one = pendulum(seconds=20.0, pull=0.0)
+    noise = 1e-4 * np.round(np.random.default_rng(3).standard_normal(len(one.time)))
+    both = replace(
+        one, joints=('swing', 'wrist'), tau_motor=one.tau_motor * [1.0, 0.1] + [0.0, 0.4],
+        q_link=np.column_stack([one.q_link, noise]), scale_sd=np.zeros(2),
+        **{name: np.full((len(one.time), 2), np.nan) for name in (
+            'dq_link', 'q_motor', 'dq_motor', 'command', 'friction_hat')},
+        reference=np.full((len(one.time), 5, 2), np.nan))
+    write_recording(tmp_path / 'bag', both, ('', ''))
+    assert main(['identify', str(tmp_path / 'bag'), '--blocks', '1',
+                 '--out', str(tmp_path / 'out')]) == 0
+    assert 'wrist stand still: left out' in capsys.readouterr().err
+    assert load_robot([tmp_path / 'out' / 'friction.yaml']).joints == ('swing',)
+
+
+def test_an_unknown_axis_is_linear_where_its_import_says_so(tmp_path):
+    """No gravity is looked for over a range of metres, and units are those of a slide."""
+    write_recording(tmp_path / 'bag', pendulum(seconds=20.0, pull=0.0), ('',),
+                    custom={'axes': 'linear'})
+    assert identified(tmp_path, tmp_path / 'bag', '--blocks', 1) == 0
+    assert load_robot([tmp_path / 'out' / 'friction.yaml']).arm.axes == 'linear'
+    report = json.loads((tmp_path / 'out' / 'report.json').read_text())
+    units = {one['name']: one['unit'] for one in report['joints'][0]['estimates']}
+    assert units['friction.swing.forward.viscous'] == 'N s/m'
+    assert 'arm.swing.gravity_torque' not in units

@@ -27,10 +27,11 @@ from gms_flex_control.errors import GmsFlexError, IdentificationError
 from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.identification.assumed_robot import believed_model, only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import Coordinates
+from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.objective import held_out, Objective
 from gms_flex_control.identification.prediction_error import coupling_sentences
 from gms_flex_control.identification.problem import Problem
-from gms_flex_control.identification.recording_checks import check, require
+from gms_flex_control.identification.recording_checks import check, require, standing
 from gms_flex_control.identification.segments import drive_sides, TorqueWarning
 from gms_flex_control.schema.files import load_robot
 from identified_axis import pendulum
@@ -256,6 +257,61 @@ def test_cogging_that_a_drive_works_against_does_not_reverse_its_torque():
     axis = rigid_joints(recording.joints)
     robot = replace(axis, arm=replace(axis.arm, inertia=[inertia]))
     assert 'torque_sign' not in {one.kind for one in check(recording, robot)}
+
+
+def switched(levels, seconds=20.0, rate=150.0):
+    """Return a Recording of a mass pushed by torques in turn, each as long as the others."""
+    time = np.arange(int(seconds * rate)) / rate
+    torque = np.array(levels)[(time / 0.4).astype(int) % len(levels)]
+    rate_of = np.cumsum(torque - 0.5 * np.sin(time)) / rate
+    return Recording(joints=('cart',), time=time, source='switched', tau_motor=torque[:, None],
+                     q_link=(np.cumsum(rate_of) / rate)[:, None])
+
+
+@pytest.mark.parametrize('levels', [(4.0, -4.0), (4.0, 0.0, -4.0, 0.0)])
+def test_a_torque_that_is_switched_is_not_clipped(levels):
+    """It has no other values than those of its levels: nothing was cut off."""
+    recording = switched(levels)
+    assert 'saturated' not in {one.kind for one in check(recording, rigid_joints(['cart']))}
+    torque = np.clip(6.0 * np.sin(3.0 * recording.time), -4.0, 4.0)
+    cut = replace(recording, tau_motor=torque[:, None])
+    assert 'saturated' in {one.kind for one in check(cut, rigid_joints(['cart']))}
+
+
+def with_still_joints(recording):
+    """Return a Recording with two joints that its noise alone moves, around one that moves."""
+    noise = 1e-4 * np.round(np.random.default_rng(3).standard_normal((len(recording.time), 2)))
+    load = 0.4 + 0.05 * recording.tau_motor
+    return replace(
+        recording, joints=('first', *recording.joints, 'last'),
+        **{name: np.full((len(recording.time), 3), np.nan) for name in (
+            'dq_link', 'q_motor', 'dq_motor', 'command', 'friction_hat')},
+        reference=np.full((len(recording.time), 5, 3), np.nan), scale_sd=np.zeros(3),
+        q_link=np.column_stack([noise[:, :1], recording.q_link, noise[:, 1:]]),
+        tau_motor=np.column_stack([load, recording.tau_motor, -load]))
+
+
+def test_joints_that_stand_still_in_all_recordings():
+    one = with_still_joints(pendulum(seconds=8.0))
+    other = replace(one, q_link=np.roll(one.q_link, 1, axis=1))  # 'last' moves
+    assert standing([one]) == ('first', 'last')
+    assert standing([one, other]) == ('first',)
+    assert standing([replace(one, q_link=np.zeros_like(one.q_link))]) == ()
+    assert standing([replace(one, q_motor=one.q_link)]) == ()
+
+
+def test_axes_that_stand_still_keep_their_friction():
+    """As those of an arm do: nothing of them is in the recording."""
+    recording = with_still_joints(pendulum(seconds=12.0, pull=0.0))
+    robot = rigid_joints(recording.joints)
+    robot = replace(robot, arm=replace(robot.arm, inertia=[1.0, 0.02, 1.0]))
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        found = identify([recording], robot, options=IdentifyOptions(blocks=(1,)))
+    assert [one.joint for one in found.joints] == ['swing']
+    coulomb = found.robot.friction.forward.coulomb
+    assert coulomb[1] == pytest.approx(0.06, rel=0.05)
+    assert coulomb[0] == coulomb[2] == robot.friction.forward.coulomb[0]
 
 
 def test_some_joints_of_a_robot_file_are_taken_in_their_order():

@@ -46,6 +46,7 @@ CLIP_TOP = 0.3                  # of the largest torque: a lower extreme of one 
 CLIP_AT, CLIP_BELOW = 1e-6, 0.01  # of the range: at the extreme, and right below it
 CLIP_REPEATS = 5                # samples at the extreme that do not change
 CLIP_RARE, CLIP_ALONE = 0.2, 0.3  # of these: as many that stand elsewhere are steps of a torque
+CLIP_BETWEEN = 0.01             # of these: with fewer samples between, it is one that is switched
 CLIP_DENSE = 4                  # times as many samples at the extreme as right below it
 FEWEST_ROWS = 40                # of a fit
 TRAVEL = 30                     # encoder steps a joint must move for its torque to be judged

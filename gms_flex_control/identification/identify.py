@@ -13,7 +13,7 @@ from gms_flex_control.identification.criterion import NEXT_TO_NOTHING, WORTH
 from gms_flex_control.identification.friction_fit import fit_beside
 from gms_flex_control.identification.outcome import Identification
 from gms_flex_control.identification.problem import Problem
-from gms_flex_control.identification.recording_checks import require
+from gms_flex_control.identification.recording_checks import require, standing
 from gms_flex_control.identification.selection import CANDIDATES
 from gms_flex_control.identification.unseen_links import (
     driven_by_motors,
@@ -82,6 +82,7 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
             raise IdentificationError(f'{unknown}: its load is unknown, so that nothing can be '
                                       'predicted; give this recording to be fitted as well')
         currents = _currents_of(recordings, robot, whole)
+        options = _of_moving_axes(options, [one for one, _ in recordings], model)
         in_space = model.arm.frames is not None
         first = Problem(recordings, holdouts, model, whole=whole, alone=in_space,
                         only=options.joints)
@@ -122,6 +123,15 @@ def _checked(recording, model, options):
     computed = recording.motors_alone & seen.links_seen
     warnings.warn(words_of_computed(seen, computed), stacklevel=3)
     return driven_by_motors(seen, computed)
+
+
+def _of_moving_axes(options, recordings, model):
+    """Return IdentifyOptions without single axes that stand still: they keep their friction."""
+    still = standing([one.of_joints(model.joints) for one in recordings])
+    if model.arm.kind != 'decoupled' or options.estimate == 'all' or not still:
+        return options
+    return replace(options, joints=tuple(
+        joint for joint in options.joints or model.joints if joint not in still))
 
 
 def _fitted(problem, options, say):

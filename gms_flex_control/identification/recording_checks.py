@@ -28,6 +28,7 @@ coupling            coupled motors on an arm that is not one of a URDF
 ==================  =============================================================
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -86,8 +87,11 @@ def _at_an_extreme(tau):
         rare = np.sum(still & ~at & (tau != 0)) < limits.CLIP_RARE * repeats
         if repeats >= limits.CLIP_REPEATS and (rare or at.sum() > limits.CLIP_DENSE * below.sum()):
             clipped |= at
-    # a torque in steps stands still at every level, not only at the outer ones
-    return clipped & (np.sum(still & ~clipped & (tau != 0)) < limits.CLIP_ALONE * np.sum(clipped))
+    # a torque in steps stands still at every level, not only at the outer ones, or has no others
+    between = known & ~clipped & (tau != 0)
+    in_steps = np.sum(between) <= limits.CLIP_BETWEEN * np.sum(clipped)
+    return clipped & (not in_steps) & (
+        np.sum(still & between) < limits.CLIP_ALONE * np.sum(clipped))
 
 
 def physics(signals: Recording, robot: RobotParams, rough: bool) -> list[Fault]:
@@ -334,6 +338,20 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Fault,
         found += [one for one in physics(signals, robot, rough or bool(loose))
                   if one.kind != 'torque_scale' or one.joint not in loose]
     return tuple(found)
+
+
+def standing(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """
+    Return the joints that stand still in all recordings, () where all do.
+
+    Not those whose motor is seen: it may move on a spring.
+    """
+    still = set.intersection(*({
+        fault.joint for fault in sampling_checks.motion(one) if fault.kind == 'still'
+        and not np.isfinite(one.q_motor[:, one.joints.index(fault.joint)]).any()}
+        for one in recordings))
+    joints = recordings[0].joints
+    return tuple(joint for joint in joints if joint in still) if still < {*joints} else ()
 
 
 def require(recording: Recording, robot: RobotParams, force=False, rough=False) -> list:
