@@ -10,7 +10,7 @@ from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.experiment import simulated
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.robot import EncoderParams, RobotParams
+from gms_flex_control.params.robot import EffectSpec, EncoderParams, RobotParams, with_effects
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -27,6 +27,16 @@ def model_with_error(robot, *, friction=1.0, stiffness=1.0, inertia=1.0):
     """Return what a controller might believe of ``robot``: its parameters times ratios."""
     arm = replace(robot.arm.scaled(inertia), stiffness=stiffness * robot.arm.stiffness)
     return replace(robot, arm=arm, friction=scaled_friction(robot.friction, friction))
+
+
+def effect_on(joint, name, *values):
+    """Return an EffectSpec, its values in the order of the catalogue."""
+    return EffectSpec(name=name, joint=joint, values=values)
+
+
+def affected(robot, joint, name, *values):
+    """Return a robot with one effect more."""
+    return with_effects(robot, effect_on(joint, name, *values))
 
 
 def padded(friction, blocks=BLOCKS):

@@ -3,12 +3,12 @@
 
 from dataclasses import replace
 
-from core_runs import model_with_error, single_axis
+from core_runs import affected, model_with_error, single_axis
 from gms_flex_control import friction as gms
 from gms_flex_control.control import compensation, observer
 from gms_flex_control.friction import steady_friction, stribeck_level
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
-from gms_flex_control.params.robot import EffectSpec, EncoderParams, FrictionParams, StribeckParams
+from gms_flex_control.params.robot import EncoderParams, FrictionParams, StribeckParams
 from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -95,8 +95,7 @@ def test_the_disturbance_observer_finds_a_torque_that_its_model_lacks():
     friction = FrictionParams(forward=nothing, backward=nothing, stiffness=[[0.0]],
                               weight=[[1.0]], attraction=[1.0])
     robot = single_axis(friction, 0.3, stiffness=5.0, motor_inertia=0.01)
-    pushed = replace(robot, effects=(EffectSpec(
-        name='constant_link_torque', joint='axis', values=(0.07,)),))
+    pushed = affected(robot, 'axis', 'constant_link_torque', 0.07)
     one = np.ones(1)
     gains = ControllerParams(
         compensation='none', kd_link=one, lambda_link=3 * one, kd_motor=0.3 * one,

@@ -3,11 +3,11 @@
 
 from dataclasses import replace
 
+from core_runs import effect_on
 from gms_flex_control.control.cascade import SteppedController
 from gms_flex_control.control.feedforward import as_parameters
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import loop
 from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory.builders import via_points
@@ -20,7 +20,7 @@ MOTION = via_points([[0.0, 0.0], [0.8, -0.4], [-0.2, 0.5], [0.0, 0.0]], 2.5, 0.2
 
 def spec(name, joint='joint2', **values):
     """Return an EffectSpec."""
-    return EffectSpec(name=name, joint=joint, values=find(name).values(values, name))
+    return effect_on(joint, name, *find(name).values(values, name))
 
 
 def rms(run):

@@ -5,10 +5,11 @@ from dataclasses import replace
 import math
 from types import SimpleNamespace
 
+from core_runs import effect_on
 from gms_flex_control.control import frozen_encoders as frozen
 from gms_flex_control.control.cascade import SteppedController
 from gms_flex_control.control.frozen_encoders import EncoderWatch, FrozenEncoders
-from gms_flex_control.params.robot import EffectSpec, EncoderParams
+from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.simulation import loop
 from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory import builders
@@ -18,8 +19,7 @@ import pytest
 DT = 0.002
 SIDES = ('q_link', 'dq_link', 'q_motor', 'dq_motor')
 COARSE = EncoderParams(counts=4096.0, velocity_cutoff=50.0)
-TORQUES = tuple(EffectSpec(name='motor_coulomb', joint=joint, values=(0.3,))
-                for joint in ('joint1', 'joint2'))
+TORQUES = tuple(effect_on(joint, 'motor_coulomb', 0.3) for joint in ('joint1', 'joint2'))
 
 
 def state(q_link=(0.1, 0.2), dq_link=(0.0, 0.0), q_motor=(0.3, 0.4), dq_motor=(0.0, 0.0)):

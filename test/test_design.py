@@ -6,42 +6,18 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 
+from core_runs import affected
 from gms_flex_control import friction as gms
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.conditions import conditions_of, repeat_conditions
 from gms_flex_control.data.recording import Operation
 from gms_flex_control.data.writer import write_recording
-from gms_flex_control.design import determination
+from gms_flex_control.design import determination, motions, separation
+from gms_flex_control.design import plan as planning
 from gms_flex_control.design.determination import experiments_for, missing_of, plan_determination
-from gms_flex_control.design.motions import (
-    below_break_away,
-    by_hand,
-    Candidate,
-    candidates,
-    random_moves,
-)
-from gms_flex_control.design.plan import (
-    BUDGET,
-    INSEPARABLE,
-    NextRecording,
-    plan_next,
-    separate,
-    SHORTEST,
-    surviving,
-)
-from gms_flex_control.design.separation import (
-    beliefs_of,
-    keeps,
-    loaded,
-    log_odds,
-    loop_of,
-    PlannedLoop,
-    predicted,
-    Prediction,
-    resolving,
-    stops_within,
-    two_sigma,
-)
+from gms_flex_control.design.motions import candidates
+from gms_flex_control.design.plan import plan_next, SHORTEST, surviving
+from gms_flex_control.design.separation import beliefs_of, loop_of, predicted, Prediction
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.dynamics.chain import mass_matrices
@@ -50,7 +26,6 @@ from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.simulated import Plan, simulate
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import Body, carrying
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import load_limits, read_values
 from gms_flex_control.simulation.plant import constants_of
 from gms_flex_control.trajectory import builders
@@ -64,12 +39,18 @@ LIMITS = Limits(torque=[2.0, 2.0], torque_rate=[50.0, 50.0], velocity=[1.5, 2.0]
                 position_margin=[0.1, 0.1], torsion=[0.9, 0.9])
 BIAS = frozenset({('constant_link_torque', 'joint2')})
 ASYMMETRY = frozenset({('friction_asymmetry', 'joint2')})
+ONE_WAY = builders.via_points(np.outer(np.linspace(0.0, 1.0, 4), [0.9, 1.2]), 2.0, 0.0)
+
+
+def candidate(name, pace=1.0, **options):
+    """Return the candidate of a name."""
+    return next(one for one in candidates(LIMITS, JOINTS, pace, **options) if one.name == name)
 
 
 @pytest.mark.parametrize('pace', [1.0, 2.5])
 def test_references_keep_range_and_velocity(pace):
     time = np.linspace(0.0, 40.0, 8001)
-    for one in (*candidates(LIMITS, JOINTS, pace), random_moves(LIMITS, JOINTS, 3)):
+    for one in (*candidates(LIMITS, JOINTS, pace), motions.random_moves(LIMITS, JOINTS, 3)):
         angle, velocity = np.moveaxis(one.trajectory(JOINTS).sample(time)[:, :2], 1, 0)
         assert (angle >= LIMITS.lower).all() and (angle <= LIMITS.upper).all(), one.name
         assert (np.abs(velocity) <= LIMITS.velocity).all(), one.name
@@ -78,8 +59,7 @@ def test_references_keep_range_and_velocity(pace):
 
 def test_tones_are_chirps_that_hardly_peak_and_joints_are_not_in_step():
     """A sine peaks at 1.41 times its rms, tones of random phases at 2.5 times."""
-    one = next(one for one in candidates(LIMITS, JOINTS) if one.name == 'tones')
-    rate = one.trajectory(JOINTS).sample(PERIOD * np.arange(500, 3500))[:, 1]
+    rate = candidate('tones').trajectory(JOINTS).sample(PERIOD * np.arange(500, 3500))[:, 1]
     assert (np.abs(rate).max(axis=0) < 2.0 * rate.std(axis=0)).all()
     assert abs(np.corrcoef(rate.T)[0, 1]) < 0.1
 
@@ -112,10 +92,8 @@ def _recording(robot, model, gains, trajectory, duration=6.0):
 @pytest.fixture(scope='module')
 def forward_only(robot, gains):
     """Return the robot with a link torque, and a recording of moves in one direction."""
-    biased = replace(robot, effects=(
-        EffectSpec(name='constant_link_torque', joint='joint2', values=(0.012,)),))
-    moves = builders.via_points(np.outer(np.linspace(0.0, 1.0, 4), [0.9, 1.2]), 2.0, 0.0)
-    return biased, _recording(biased, robot, gains, moves, 6.5)
+    biased = affected(robot, 'joint2', 'constant_link_torque', 0.012)
+    return biased, _recording(biased, robot, gains, ONE_WAY, 6.5)
 
 
 @pytest.fixture(scope='module')
@@ -135,8 +113,7 @@ def few(monkeypatch):
 def test_the_planned_motion_is_expected_to_separate_what_is_left_and_keeps_limits(
         robot, gains, few):
     """While a joint turns one way, its friction presses the gear to one side of a play."""
-    loose = replace(robot, effects=(
-        EffectSpec(name='backlash', joint='joint2', values=(0.004,)),))
+    loose = affected(robot, 'joint2', 'backlash', 0.004)
     first = _recording(loose, robot, gains, builders.velocity_levels([[0.1, 0.15]], [8.0]))
     beliefs = beliefs_of([first], robot, [frozenset({(name, 'joint2')}) for name in (
         'backlash', 'spring_offset')])
@@ -152,8 +129,7 @@ def test_the_planned_motion_is_expected_to_separate_what_is_left_and_keeps_limit
 def test_a_robot_that_would_have_crossed_a_limit_along_a_recording_is_refuted(
         robot, gains, forward_only):
     """A lag of 50 ms makes the loop unstable: after a recording such a robot need keep nothing."""
-    lagging = replace(robot, effects=(
-        EffectSpec(name='actuator_lag', joint='joint2', values=(0.05,)),))
+    lagging = affected(robot, 'joint2', 'actuator_lag', 0.05)
     beliefs = SimpleNamespace(robot=robot, likelihood=None, recordings=[forward_only[1]],
                               hypotheses=[SimpleNamespace(robot=lambda *args, one=one: one)
                                           for one in (robot, lagging)])
@@ -170,7 +146,7 @@ def test_torque_may_be_at_its_limit_at_peaks_only():
     for clipped, kept in ((9, True), (11, False)):
         command = np.zeros((1000, 2))
         command[:clipped, 1] = -LIMITS.torque[1]
-        assert keeps(SimpleNamespace(true=still, command=command), LIMITS) == kept
+        assert separation.keeps(SimpleNamespace(true=still, command=command), LIMITS) == kept
 
 
 def test_limits_that_no_motion_keeps_are_refused(gains, beliefs, few):
@@ -210,10 +186,10 @@ def test_what_predicts_the_same_ends_as_inseparable_and_no_budget_as_spent(
     def drive(plan, number):
         driven.append(number)
         return forward_only[1]
-    for budget, verdict in ((60.0, INSEPARABLE), (2.0, BUDGET)):
+    for budget, verdict in ((60.0, planning.INSEPARABLE), (2.0, planning.BUDGET)):
         driven.clear()
-        found = separate([forward_only[1]], robot, [BIAS, ASYMMETRY], gains, LIMITS, drive,
-                         period=PERIOD, budget=budget, longest=30.0)
+        found = planning.separate([forward_only[1]], robot, [BIAS, ASYMMETRY], gains, LIMITS,
+                                  drive, period=PERIOD, budget=budget, longest=30.0)
         assert found.verdict == verdict and len(found.left) == 2
         assert driven == ([1, 2] if budget > SHORTEST else [])
         assert all(one.words in found.sentence() for one in found.left)
@@ -226,7 +202,7 @@ def test_odds_as_wanted_are_even_chances_and_each_explanation_is_confirmed_by_it
     assert beliefs.probabilities == pytest.approx([0.8, 0.2])
 
     def chances(first, second):
-        return resolving(beliefs, np.array([[0.0, first], [second, 0.0]]), wanted)
+        return separation.resolving(beliefs, np.array([[0.0, first], [second, 0.0]]), wanted)
     assert chances(wanted, -50.0) == pytest.approx([0.5, 0.0], abs=1e-3)
     assert chances(-50.0, 60.0) == pytest.approx([0.0, 1.0], abs=0.1)
     assert (chances(60.0, 60.0) > chances(20.0, 20.0)).all()
@@ -235,9 +211,9 @@ def test_odds_as_wanted_are_even_chances_and_each_explanation_is_confirmed_by_it
 def test_a_motion_separates_as_fast_as_its_worst_pair(beliefs):
     """From 1 to 9 and from -1 to 5 in 4 s: 1.5 a second."""
     one = Prediction(None, 4.0, np.array([[0.0, 9.0], [5.0, 0.0]]), ())
-    plan = NextRecording(beliefs=replace(beliefs, odds=np.array([[0.0, 1.0], [-1.0, 0.0]])),
-                         wanted=np.log(99.0), best=one, probability=0.9, compared=(one,),
-                         refused=())
+    odds = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    plan = planning.NextRecording(beliefs=replace(beliefs, odds=odds), wanted=np.log(99.0),
+                                  best=one, probability=0.9, compared=(one,), refused=())
     assert plan.pace(one) == pytest.approx(1.5)
 
 
@@ -260,8 +236,8 @@ def test_the_motion_is_chosen_that_confirms_the_truth_soonest_whichever_it_is(
 def test_a_motion_that_cannot_be_stopped_within_the_limits_is_driven_slower():
     """At 2 s of braking a swing goes on by a second of its speed: half the pace keeps it."""
     for pace, kept in ((1.0, False), (2.5, True)):
-        one = next(one for one in candidates(LIMITS, JOINTS, pace) if one.name == 'fast_swings')
-        assert stops_within(one, JOINTS, 8.0, LIMITS) == kept
+        one = candidate('fast_swings', pace)
+        assert separation.stops_within(one, JOINTS, 8.0, LIMITS) == kept
 
 
 def test_motions_swing_about_zero_within_the_range():
@@ -274,9 +250,9 @@ def test_motions_swing_about_zero_within_the_range():
 def test_noise_of_encoders_that_two_models_show_differently_is_no_evidence(beliefs):
     """The margin is two standard deviations: twice the root of 2 sum w d^2."""
     models = [one.model for one in beliefs.hypotheses]
-    alike = log_odds(beliefs.likelihood, [models[0]] * 2, [3.0, 1.0])
+    alike = separation.log_odds(beliefs.likelihood, [models[0]] * 2, [3.0, 1.0])
     assert alike == pytest.approx(np.array([[0.0, 1.0], [-1.0, 0.0]]))
-    odds = log_odds(beliefs.likelihood, models, [3.0, 1.0])
+    odds = separation.log_odds(beliefs.likelihood, models, [3.0, 1.0])
     noise = [np.subtract(*beliefs.likelihood.of_pair(one.robot, one.x)) for one in models]
     weight = np.minimum(*(beliefs.likelihood.weights(one.sums.groups) for one in models))
     margin = 2.0 * np.sqrt(weight @ (noise[0] - noise[1]) ** 2)
@@ -284,16 +260,13 @@ def test_noise_of_encoders_that_two_models_show_differently_is_no_evidence(belie
     assert margin > 0.3
 
 
-def test_a_joint_at_rest_steers_no_fit(robot, gains):
+def test_a_joint_at_rest_steers_no_fit(robot, gains, forward_only):
     """While joint1 stands its inertia is all encoder noise: the torque of joint2 is found."""
-    biased = replace(robot, effects=(
-        EffectSpec(name='constant_link_torque', joint='joint2', values=(0.012,)),))
-    alone = next(one for one in candidates(LIMITS, JOINTS) if one.name == 'joint2_alone')
+    biased, _ = forward_only
     believed = replace(robot, arm=replace(robot.arm, inertia=1.03 * robot.arm.inertia,
                                           stiffness=0.98 * robot.arm.stiffness))
     recordings = [_recording(biased, believed, gains, motion, duration) for motion, duration in (
-        (builders.via_points(np.outer(np.linspace(0.0, 1.0, 4), [0.9, 1.2]), 2.0, 0.0), 6.5),
-        (alone.trajectory(JOINTS), 8.0))]
+        (ONE_WAY, 6.5), (candidate('joint2_alone').trajectory(JOINTS), 8.0))]
     beliefs = beliefs_of(recordings, believed, [BIAS, ASYMMETRY])
     best = beliefs.hypotheses[0]
     assert best.effects == BIAS
@@ -304,12 +277,9 @@ def test_a_joint_at_rest_steers_no_fit(robot, gains):
 @pytest.mark.parametrize('motion', ['fast_swings', 'slow_swings'])
 def test_a_friction_that_differs_by_direction_is_no_constant_torque(motion, robot, gains):
     """Levels differ where joints slide; the sign of a velocity at rest is noise and no effect."""
-    uneven = replace(robot, effects=(
-        EffectSpec(name='friction_asymmetry', joint='joint2', values=(-0.1,)),))
-    one = next(one for one in candidates(LIMITS, JOINTS, 1.95) if one.name == motion)
+    uneven = affected(robot, 'joint2', 'friction_asymmetry', -0.1)
     recordings = [_recording(uneven, robot, gains, along, duration) for along, duration in (
-        (builders.via_points(np.outer(np.linspace(0.0, 1.0, 4), [0.9, 1.2]), 2.0, 0.0), 6.5),
-        (one.trajectory(JOINTS), 10.0))]
+        (ONE_WAY, 6.5), (candidate(motion, 1.95).trajectory(JOINTS), 10.0))]
     best = beliefs_of(recordings, robot, [BIAS, ASYMMETRY]).hypotheses[0]
     assert best.effects == ASYMMETRY
     assert best.model.robot.effects[0].values[0] == pytest.approx(-0.1, rel=0.25)
@@ -323,23 +293,20 @@ WEIGHT = Body(0.5, np.zeros(3), np.zeros((3, 3)))
 @pytest.fixture(scope='module')
 def swings(robot, gains):
     """Return swings of a robot whose drive of joint2 gives 8 % more than it believes."""
-    weaker = replace(robot, effects=(
-        EffectSpec(name='torque_gain', joint='joint2', values=(0.08,)),))
+    weaker = affected(robot, 'joint2', 'torque_gain', 0.08)
     return _recording(weaker, robot, gains, builders.sinusoid(
         [0.3, 0.3], [4.0, 5.0], ramp_time=2.0))
 
 
 def test_what_is_foreseen_of_a_motion_is_what_its_recording_shows(robot, gains):
     """A payload makes accelerations, and so encoder noise, weigh more: that is no evidence."""
-    laden = replace(robot, effects=(
-        EffectSpec(name='tip_payload', joint='arm', values=(0.03,)),))
+    laden = affected(robot, 'arm', 'tip_payload', 0.03)
     first = _recording(laden, robot, gains, builders.sinusoid(
         [0.0, 0.5], [3.0, 3.0], ramp_time=2.0))
     sets = [frozenset({('tip_payload', 'arm')}), frozenset({('link_inertia_error', 'joint2')})]
     beliefs = beliefs_of([first], robot, sets)
     loop = loop_of(beliefs, gains, LIMITS, period=PERIOD)
-    motion = next(one for one in candidates(LIMITS, JOINTS, 1.5625) if one.name == 'strokes')
-    foreseen = predicted(beliefs, motion, 5.0, loop)
+    foreseen = predicted(beliefs, candidate('strokes', 1.5625), 5.0, loop)
     for a, (hypothesis, run) in enumerate(zip(beliefs.hypotheses, foreseen.runs, strict=True)):
         then = beliefs_of([first, run], robot, sets)
         order = [one.effects for one in then.hypotheses]
@@ -348,10 +315,9 @@ def test_what_is_foreseen_of_a_motion_is_what_its_recording_shows(robot, gains):
 
 
 def test_ramps_below_break_away_load_friction_to_half_of_it_at_most(robot):
-    reach = below_break_away(robot)
-    one, = (one for one in candidates(LIMITS, JOINTS, stuck=reach)
-            if one.name == 'below_break_away')
-    angle, rate = np.moveaxis(one.trajectory(JOINTS).sample(PERIOD * np.arange(4000))[:, :2], 1, 0)
+    reach = motions.below_break_away(robot)
+    trajectory = candidate('below_break_away', stuck=reach).trajectory(JOINTS)
+    angle, rate = np.moveaxis(trajectory.sample(PERIOD * np.arange(4000))[:, :2], 1, 0)
     assert np.abs(angle).max(axis=0) == pytest.approx(reach, rel=0.05)
     torque = gms.replay(angle, rate, PERIOD, gms.constants_of(robot.friction))
     assert (np.abs(torque).max(axis=0) < 0.55 * robot.friction.forward.static).all()
@@ -359,8 +325,8 @@ def test_ramps_below_break_away_load_friction_to_half_of_it_at_most(robot):
 
 def test_a_planar_arm_carries_a_point_mass_as_its_jacobian_has_it(robot):
     """M of the arm with a mass m at the tip is M + m J^T J."""
-    load, poses = Body(0.5, np.array([0.1, 0.0, 0.0]), np.zeros((3, 3))), np.array(
-        [[0.3, -0.7], [-1.0, 0.4]])
+    load = WEIGHT._replace(com=np.array([0.1, 0.0, 0.0]))
+    poses = np.array([[0.3, -0.7], [-1.0, 0.4]])
     first, second = robot.arm.length[0], robot.arm.length[1] + 0.1
     for pose, without, with_load in zip(poses, mass_matrices(poses, robot.arm), mass_matrices(
             poses, carrying(robot.arm, load)), strict=True):
@@ -372,7 +338,7 @@ def test_a_planar_arm_carries_a_point_mass_as_its_jacobian_has_it(robot):
 
 def test_a_stated_load_of_a_planar_arm_leaves_no_torque_and_one_beside_it_is_refused(
         robot, gains):
-    recording = _recording(loaded(robot, WEIGHT), robot, gains, builders.sinusoid(
+    recording = _recording(separation.loaded(robot, WEIGHT), robot, gains, builders.sinusoid(
         [0.3, 0.3], [3.0, 2.0], ramp_time=1.0))
     left = []
     for load in (None, WEIGHT):
@@ -389,8 +355,8 @@ def test_a_weight_at_the_tip_separates_stiffness_from_torque_gain(robot, gains, 
     """Along every motion both predict the same torque; a known mass gives torque its scale."""
     beliefs = beliefs_of([swings], robot, [SOFTER, WEAKER])
     loop = loop_of(beliefs, gains, LIMITS, period=PERIOD)
-    motion = next(one for one in candidates(LIMITS, JOINTS, 2.0) if one.name == 'medium_swings')
-    weighted, = by_hand([motion], 0.5)
+    motion = candidate('medium_swings', 2.0)
+    weighted, = motions.by_hand([motion], 0.5)
     assert '0.5 kg are hung at the tip' in weighted.words
     without, with_weight = (predicted(beliefs, one, 6.0, loop) for one in (motion, weighted))
     assert with_weight.runs[0].operation.load.mass == 0.5
@@ -433,8 +399,9 @@ def test_information_about_what_is_missing_has_all_else_eliminated():
 
 
 def test_what_a_motion_hardly_determines_is_left_open_in_words():
-    so_far, best = (determination.MotionWorth(Candidate('strokes', 'strokes of both', {}), 0.0,
-                                              np.array(sd)) for sd in ([1.0, 9.0], [0.02, 58.0]))
+    strokes = motions.Candidate('strokes', 'strokes of both', {})
+    so_far, best = (determination.MotionWorth(strokes, 0.0, np.array(sd))
+                    for sd in ([1.0, 9.0], [0.02, 58.0]))
     plan = determination.Determination(
         missing=('blocks of joint2', 'forward level of joint1'), experiments=None, before=so_far,
         compared=(best,), duration=8.0)
@@ -486,7 +453,7 @@ def test_an_experiment_that_no_pace_allows_takes_no_other_along(robot, gains):
 
 def test_a_draw_is_two_standard_deviations_away():
     root = np.random.default_rng(1).normal(size=(5, 5))
-    shift = two_sigma(root @ root.T, np.random.default_rng(2))
+    shift = separation.two_sigma(root @ root.T, np.random.default_rng(2))
     assert np.linalg.norm(np.linalg.solve(root, shift)) == pytest.approx(2.0)
 
 
@@ -497,7 +464,7 @@ def test_what_determines_keeps_limits_with_the_load_and_two_deviations_away(
     def keeps_limits(loop, one, believed, candidate, duration):
         loads.append(loop.load)
         return one is believed or candidate.name == 'strokes'
-    monkeypatch.setattr(PlannedLoop, 'keeps', keeps_limits)
+    monkeypatch.setattr(separation.PlannedLoop, 'keeps', keeps_limits)
     found = plan_determination(
         robot, [replace(swings, operation=Operation(WEIGHT))], [('blocks', 'joint2')], gains,
         LIMITS, period=PERIOD, duration=5.0)

@@ -3,10 +3,10 @@
 
 from dataclasses import replace
 
+from core_runs import affected, effect_on
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.compared import segment_of, simulated
 from gms_flex_control.errors import BagError
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
@@ -52,10 +52,8 @@ def test_a_pause_ends_a_segment(recording):
 
 def test_a_drift_goes_on_from_where_the_segment_begins(recording, ideal_robot, gains):
     """Twelve seconds after the first sample, a spring that goes soft is soft."""
-    drifting = replace(ideal_robot, effects=(
-        EffectSpec(name='stiffness_drift', joint='joint1', values=(-0.5, 12.0)),))
-    soft = replace(ideal_robot, effects=(
-        EffectSpec(name='stiffness_error', joint='joint1', values=(-0.5,)),))
+    drifting = affected(ideal_robot, 'joint1', 'stiffness_drift', -0.5, 12.0)
+    soft = affected(ideal_robot, 'joint1', 'stiffness_error', -0.5)
     segment = segment_of(recording)._replace(begin=12.0)
     expected, late, early = (
         simulated(robot, ideal_robot, gains, segment._replace(begin=begin))
@@ -80,7 +78,7 @@ def test_without_a_reference_the_sentence_says_what_to_record(recording):
 
 def test_drives_have_the_voltage_that_was_recorded(recording, ideal_robot, gains):
     """One that falls by 5 V, with a twentieth of the torque a volt."""
-    sag = EffectSpec(name='supply_sag', joint='joint1', values=(0.05, 24.0))
+    sag = effect_on('joint1', 'supply_sag', 0.05, 24.0)
     weaker = replace(ideal_robot, effects=(sag,))
     volts = np.linspace(24.0, 19.0, len(recording.time))
     segments = [segment_of(replace(recording, supply=supply))

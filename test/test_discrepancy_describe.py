@@ -4,6 +4,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+from core_runs import effect_on
 from discrepancy_runs import as_believed, driven_motion
 from gms_flex_control.discrepancy.describe import evidence_of, torque_scale
 from gms_flex_control.discrepancy.likelihood import Likelihood
@@ -11,7 +12,6 @@ from gms_flex_control.discrepancy.remainder import dependence, predicted_share, 
 from gms_flex_control.discrepancy.result import Signature
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.discrepancy.worth import Worth
-from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
 
@@ -43,7 +43,7 @@ def test_an_effect_that_changes_nothing_that_is_fitted_is_none():
 
 def test_what_is_left_is_described_where_most_is_left(robot, gains):
     """The second of two recordings holds a torque on a motor that the first does not."""
-    biased = EffectSpec(name='motor_torque_bias', joint='joint2', values=(0.02,))
+    biased = effect_on('joint2', 'motor_torque_bias', 0.02)
     motions = [driven_motion(replace(robot, effects=effects), gains, seed, duration=6.0)
                for seed, effects in enumerate([(), (biased,)])]
     for order in (motions, motions[::-1]):

@@ -5,7 +5,8 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from bench.hidden_robots.cases import make_case
-from discrepancy_runs import driven_motion, likelihood_of, retuned_of, rigid_motion
+from core_runs import affected, effect_on
+from discrepancy_runs import as_believed, driven_motion, likelihood_of, retuned_of, rigid_motion
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of, may_join
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import scales_of
@@ -13,7 +14,6 @@ from gms_flex_control.discrepancy.nuisance import nuisances_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.registry import find
-from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
 
@@ -24,12 +24,18 @@ def likelihood(robot, gains):
     return Likelihood([driven_motion(robot, gains, seed=1)], robot)
 
 
-def test_every_guess_is_an_effect_the_model_allows(likelihood):
+def test_every_effect_is_looked_for_wherever_it_can_act_at_sizes_the_model_allows():
     """Its probes and what they stand for are values within the bounds of its parameters."""
+    likelihood = likelihood_of(make_case('clean', 0, duration=5.0))
     guesses = guesses_of(likelihood)
-    places = {(name, joint) for name, joint, _ in guesses}
-    assert ('gravity_tilt', 'arm') in places and ('backlash', 'joint2') in places
-    assert 'backlash' not in {name for name, _, _ in guesses_of(likelihood, ('backlash',))}
+    asked = {(name, joint) for name, joint, _ in guesses}
+    again = {name for one in registry.names() for name in registry.find(one).again}
+    assert asked == {(name, place) for name in registry.names() for place in (
+        ['arm'] if registry.find(name).whole_arm else likelihood.robot.joints)
+        if name != 'friction_backlash'  # of joints without a spring only
+        and name not in again}          # where a joint has the first
+    left_out = {(name, joint) for name, joint, _ in guesses_of(likelihood, ('backlash',))}
+    assert left_out == {one for one in asked if one[0] != 'backlash'}
     for name, joint, guess in guesses:
         kind = find(name)
         ends = [np.clip(np.full(len(guess.probes), c), guess.lowest, guess.highest)
@@ -41,12 +47,11 @@ def test_every_guess_is_an_effect_the_model_allows(likelihood):
 
 def test_what_a_guess_stands_for_is_the_sum_of_its_probes(likelihood):
     """Columns times coefficients against the rows of the effect itself, for linear ones."""
-    rows = likelihood.fitted(likelihood.robot, np.zeros(len(likelihood.nuisances))).whitened
+    rows = as_believed(likelihood).whitened
 
     def made(name, joint, values):
-        spec = EffectSpec(name=name, joint=joint, values=tuple(map(float, values)))
-        return likelihood.fitted(replace(likelihood.robot, effects=(spec,)),
-                                 np.zeros(len(likelihood.nuisances))).whitened - rows
+        robot = affected(likelihood.robot, joint, name, *map(float, values))
+        return as_believed(likelihood, robot).whitened - rows
     linear = ('torque_ripple', 'position_friction', 'gravity_tilt', 'spring_cubic',
               'motor_viscous', 'kinematic_error', 'friction_drift', 'viscous_error',
               'motor_inertia_coupling')
@@ -92,7 +97,7 @@ def test_a_rigid_axis_has_guesses_of_what_can_be_there():
 
 def test_effects_that_scale_a_joint_together_do_not_join(ideal_robot):
     """But beside one whose size is known, another has a size of its own."""
-    specs = [EffectSpec(name=name, joint='joint1', values=(0.1,))
+    specs = [effect_on('joint1', name, 0.1)
              for name in ('torque_gain', 'stiffness_error', 'input_delay', 'actuator_lag')]
     gain, spring, delay, lag = specs
     robot = replace(ideal_robot, effects=(gain, delay))
@@ -114,18 +119,6 @@ def test_a_supply_that_is_known_is_looked_for():
     ratio, nominal = guess.values(c)
     parts = sum(k * r * (volts - v) for k, (r, v) in zip(c, guess.probes, strict=True))
     np.testing.assert_allclose(ratio * (volts - nominal), parts, rtol=1e-12)
-
-
-def test_every_effect_is_looked_for_wherever_it_can_act():
-    likelihood = likelihood_of(make_case('clean', 0, duration=5.0))
-    asked = {(name, joint) for name, joint, _ in guesses_of(likelihood)}
-    again = {name for one in registry.names() for name in registry.find(one).again}
-    assert asked == {(name, place) for name in registry.names() for place in (
-        ['arm'] if registry.find(name).whole_arm else likelihood.robot.joints)
-        if name != 'friction_backlash'  # of joints without a spring only
-        and name not in again}          # where a joint has the first
-    left_out = {(name, joint) for name, joint, _ in guesses_of(likelihood, ('backlash',))}
-    assert left_out == {one for one in asked if one[0] != 'backlash'}
 
 
 @pytest.mark.parametrize('effect', ['stiffness_error', 'spring_damping'])

@@ -3,14 +3,12 @@
 
 from dataclasses import replace
 
-from discrepancy_runs import driven_motion, rms_left
+from core_runs import affected, effect_on
+from discrepancy_runs import driven_motion, motion_along, null_run, rms_left
 from gms_flex_control.discrepancy.motion import make_motion
-from gms_flex_control.discrepancy.null_simulation import null_readings
 from gms_flex_control.discrepancy.residuals import cleared, drive_torque, unexplained
-from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.dynamics import chain
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -40,8 +38,7 @@ def test_the_true_model_leaves_nothing_of_a_hidden_robot_but_its_encoders(ideal_
     left = unexplained(motion, plant.constants_of(ideal_robot))[50:-50]
     static = np.tile(ideal_robot.friction.forward.static, 2)
     assert np.all(np.sqrt(np.mean(left ** 2, axis=0)) < 0.01 * static)
-    wrong = replace(ideal_robot, effects=(EffectSpec(
-        name='constant_link_torque', joint='joint2', values=(0.01,)),))
+    wrong = affected(ideal_robot, 'joint2', 'constant_link_torque', 0.01)
     more = unexplained(motion, plant.constants_of(wrong))[50:-50]
     np.testing.assert_allclose(more - left, np.tile([0.0, -0.01, 0.0, 0.0], (len(left), 1)),
                                atol=1e-12)
@@ -51,7 +48,7 @@ def test_friction_by_load_follows_from_the_motion_not_from_the_torque_it_explain
         ideal_robot, gains):
     """A spring of twice the torque is no heavier load: less inertia would explain all of it."""
     motion = driven_motion(ideal_robot, gains, duration=4.0)
-    load = EffectSpec(name='load_friction', joint='joint1', values=(0.3, 1e-3))
+    load = effect_on('joint1', 'load_friction', 0.3, 1e-3)
     stiffer = replace(ideal_robot, arm=replace(
         ideal_robot.arm, stiffness=2.0 * ideal_robot.arm.stiffness))
     one, other = (
@@ -66,8 +63,7 @@ def test_friction_by_load_follows_from_the_motion_not_from_the_torque_it_explain
 def test_what_is_kept_along_a_motion_is_that_of_its_own_torque(ideal_robot, gains, name, values):
     """Drives and encoders that depend on torque: as along a motion of which nothing is kept."""
     motion = driven_motion(ideal_robot, gains, duration=2.0)
-    robot = replace(ideal_robot, effects=(EffectSpec(
-        name=name, joint='joint2', values=values),) if name else ())
+    robot = replace(ideal_robot, effects=(effect_on('joint2', name, *values),) if name else ())
     constants = plant.constants_of(robot)
     for factor in (1.0, 1.2, 1.0, 1.5, 1.2):
         other = motion.with_torque(('times', factor), lambda torque, by=factor: by * torque)
@@ -78,23 +74,19 @@ def test_what_is_kept_along_a_motion_is_that_of_its_own_torque(ideal_robot, gain
 
 def test_a_rotor_couples_through_a_rigid_joint_in_the_plant_as_in_the_fit(ideal_robot, gains):
     arm = replace(ideal_robot.arm, stiffness=[ideal_robot.arm.stiffness[0], np.inf])
-    robot = replace(ideal_robot, arm=arm, motors=(ideal_robot.motors[0], ''), effects=(EffectSpec(
-        name='motor_inertia_coupling', joint='joint2', values=(0.005,)),))
-    constants = plant.constants_of(robot)
-    again = null_readings(driven_motion(ideal_robot, gains), constants)(np.random.default_rng(0))
-    with_it, without = (rms_left(again, one)[0] for one in (
-        constants, plant.constants_of(replace(robot, effects=()))))
+    rigid = replace(ideal_robot, arm=arm, motors=(ideal_robot.motors[0], ''))
+    robot = affected(rigid, 'joint2', 'motor_inertia_coupling', 0.005)
+    again = null_run(driven_motion(ideal_robot, gains), robot)
+    with_it, without = (rms_left(again, plant.constants_of(one))[0] for one in (robot, rigid))
     assert with_it < 0.2 * without
 
 
 def test_friction_acts_between_joint_and_base_along_a_motion_as_in_the_plant(ideal_robot, gains):
     """Where the base swings at its frequency, friction of the link alone would excite it more."""
-    robot = replace(ideal_robot, effects=(EffectSpec(
-        name='base_flexibility', joint='joint1', values=(4.3, 0.35, 0.03)),))
-    motion, constants = driven_motion(robot, gains), plant.constants_of(robot)
-    again = null_readings(motion, constants)(np.random.default_rng(0))
-    with_it, without = (rms_left(again, one)[0]
-                        for one in (constants, plant.constants_of(ideal_robot)))
+    robot = affected(ideal_robot, 'joint1', 'base_flexibility', 4.3, 0.35, 0.03)
+    again = null_run(driven_motion(robot, gains), robot)
+    with_it, without = (rms_left(again, plant.constants_of(one))[0]
+                        for one in (robot, ideal_robot))
     assert with_it < 0.1 * without
 
 
@@ -111,14 +103,14 @@ def test_a_joint_that_turns_with_its_base_has_no_viscous_friction(ideal_robot):
 
 def test_the_base_bends_under_the_torque_that_is_given(ideal_robot, gains):
     """Not under that which was asked for, where the model knows the difference."""
-    both = tuple(EffectSpec(name=name, joint=joint, values=values) for name, joint, values in (
-        ('base_flexibility', 'joint1', (6.0, 1.0, 0.05)), ('torque_gain', 'joint1', (0.25,))))
+    both = (effect_on('joint1', 'base_flexibility', 6.0, 1.0, 0.05),
+            effect_on('joint1', 'torque_gain', 0.25))
     left = []
     for effects in (both[:1], both):
         robot = replace(ideal_robot, effects=effects)
-        motion, constants = driven_motion(robot, gains), plant.constants_of(robot)
-        left += [rms_left(one, constants)[0] for one in (
-            motion, null_readings(motion, constants)(np.random.default_rng(0)))]
+        motion = driven_motion(robot, gains)
+        left += [rms_left(one, plant.constants_of(robot))[0]
+                 for one in (motion, null_run(motion, robot))]
     assert max(left) < 1.5 * left[0]
 
 
@@ -129,13 +121,10 @@ def test_a_late_encoder_is_cleared_where_its_motor_is_quick(ideal_robot):
     true = np.stack([np.zeros_like(time), 0.1 * np.sin(speed * time)], axis=1)
     late = true.copy()
     late[:, 1] = 0.1 * np.sin(speed * (time - delay))
-    robot = replace(ideal_robot, effects=tuple(
-        EffectSpec(name='encoder_skew', joint=joint, values=(delay,))
-        for joint in ideal_robot.joints))
-    readings = np.repeat(late[:, :, None], robot.n_joints, axis=2)
-    motion = make_motion(make_samples(
-        robot.joints, time, 1e-3, readings, np.zeros((2000, robot.n_joints)), np.zeros(2000),
-        True, 'a tone'))
+    robot = replace(ideal_robot, effects=tuple(effect_on(joint, 'encoder_skew', delay)
+                                               for joint in ideal_robot.joints))
+    motion = motion_along(robot, time, np.repeat(late[:, :, None], 2, axis=2),
+                          np.zeros((2000, 2)))
     constants = plant.constants_of(robot)
     states, second, _ = cleared(motion, drive_torque(motion, constants), motion.states,
                                 motion.second, constants)

@@ -4,6 +4,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+from core_runs import affected, effect_on
 from discrepancy_runs import driven_motion, retuned_of
 from gms_flex_control.discrepancy.evidence import (
     credible,
@@ -17,7 +18,7 @@ from gms_flex_control.discrepancy.evidence import (
 from gms_flex_control.discrepancy.fitting import extended
 from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums
 from gms_flex_control.effects.base import Scales, Travel
-from gms_flex_control.params.robot import EffectSpec, widened, with_effects
+from gms_flex_control.params.robot import widened, with_effects
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -90,7 +91,7 @@ def test_an_effect_has_the_odds_of_one_among_all_against_it():
 def test_a_softer_spring_has_less_density_where_noise_is_not_of_encoders(robot, gains, ratio):
     """Each torsion counts log(1 + ratio), where variance is a hundred times null simulations'."""
     likelihood = Likelihood([driven_motion(robot, gains, seed=1, duration=6.0)], robot)
-    spec = EffectSpec(name='stiffness_error', joint='joint2', values=(ratio,))
+    spec = effect_on('joint2', 'stiffness_error', ratio)
     model = likelihood.fitted(with_effects(robot, spec), np.zeros(len(likelihood.sd)))
     sums = model.sums._replace(groups=100.0 * likelihood.groups.count)
     torsions = np.sum(likelihood.groups.channel == 1)  # of two joints, link equations first
@@ -106,16 +107,15 @@ def test_a_robot_of_which_all_torques_are_believed_less_explains_nothing(robot, 
 
     Nor where some of it is taken for noise of drives [N m].
     """
-    hidden = with_effects(robot, EffectSpec(name='position_friction', joint='joint2',
-                                            values=(0.35, 3.0, 0.0)))
+    hidden = affected(robot, 'joint2', 'position_friction', 0.35, 3.0, 0.0)
     likelihood = Likelihood([driven_motion(hidden, gains, seed=1, duration=6.0)],
                             widened(robot, 100.0))
     likelihood = likelihood.with_noise(np.full((1, 4), noise))
     less = np.array([-0.6 * (one.name in ('inertia', 'stiffness', 'motor_inertia', 'level',
                                           'viscous', 'blocks'))
                      for one in likelihood.nuisances])
-    weak = replace(robot, effects=tuple(
-        EffectSpec(name='torque_gain', joint=joint, values=(-0.6,)) for joint in robot.joints))
+    weak = replace(robot,
+                   effects=tuple(effect_on(joint, 'torque_gain', -0.6) for joint in robot.joints))
     weaker, believed = (
         state_of(likelihood, model, np.zeros((len(less) + len(model.robot.effects),
                                               len(model.whitened))), 50)
@@ -126,8 +126,7 @@ def test_a_robot_of_which_all_torques_are_believed_less_explains_nothing(robot, 
 def test_a_saturation_takes_all_that_is_beyond_its_limit(robot, gains):
     """Of a drive that gives half of what is beyond, a saturation would have to be smaller."""
     limit = 0.12
-    saturation = with_effects(robot, EffectSpec(name='actuator_saturation', joint='joint2',
-                                                values=(limit,)))
+    saturation = affected(robot, 'joint2', 'actuator_saturation', limit)
     whole, free = (driven_motion(one, gains, seed=1, duration=10.0)
                    for one in (saturation, robot))
     asked = free.samples.command.copy()
@@ -142,7 +141,7 @@ def test_a_saturation_takes_all_that_is_beyond_its_limit(robot, gains):
 
 def state(evidence, *effects):
     """Return a State of effects (name, joint) with 2 log evidence."""
-    specs = tuple(EffectSpec(name=name, joint=joint, values=()) for name, joint in effects)
+    specs = tuple(effect_on(joint, name) for name, joint in effects)
     return State(SimpleNamespace(robot=SimpleNamespace(effects=specs)), None, None, evidence)
 
 

@@ -5,18 +5,16 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from bench.hidden_robots import motions
-from core_runs import single_axis
-from discrepancy_runs import as_believed, driven, driven_motion, retuned_of
+from core_runs import affected, effect_on, single_axis
+from discrepancy_runs import as_believed, driven, driven_motion, motion_along, retuned_of
 from gms_flex_control.discrepancy import residual_views
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.fast_ripple import fast_ripples, with_ripples
 from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.likelihood import Likelihood
-from gms_flex_control.discrepancy.motion import make_motion
 from gms_flex_control.discrepancy.result import FOUND
-from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.discrepancy.workflow import find_discrepancy
-from gms_flex_control.params.robot import EffectSpec, FrictionParams, StribeckParams
+from gms_flex_control.params.robot import FrictionParams, StribeckParams
 from gms_flex_control.reports.discrepancy_page import write_discrepancy_report
 import numpy as np
 import pytest
@@ -41,11 +39,8 @@ def rotor(*waves, seed=0, duration=20.0):
               + LEVEL * np.tanh(rate / 0.01) + NOISE * rng.standard_normal(len(time)))
     torque -= sum(amplitude * np.sin(order * (angle + 0.5 * PERIOD * rate) + phase)
                   for amplitude, order, phase in waves)
-    readings = np.repeat(angle[:, None, None] + 1e-6 * rng.standard_normal((len(time), 1, 1)), 2,
-                         axis=1)
-    return Likelihood([make_motion(make_samples(
-        robot.joints, time, PERIOD, readings, torque[:, None], np.zeros(len(time)), True,
-        'a rotor'))], robot)
+    read = angle[:, None] + 1e-6 * rng.standard_normal((len(time), 1))
+    return Likelihood([motion_along(robot, time, read, torque[:, None])], robot)
 
 
 def test_waves_far_above_the_low_pass_are_sized():
@@ -73,24 +68,18 @@ def test_intervals_hold_the_truth():
     assert 0.85 <= np.mean(held)
 
 
-@pytest.mark.parametrize('seed', range(6))
-def test_noise_has_none(seed):
-    likelihood = rotor(seed=seed)
-    assert fast_ripples(likelihood, as_believed(likelihood)) == []
-
-
-def test_a_wave_that_matters_not_is_none():
-    likelihood = rotor((0.005, 72.0, 0.0))
+@pytest.mark.parametrize(('waves', 'seed'), [
+    *(((), seed) for seed in range(6)), ([(0.005, 72.0, 0.0)], 0)])
+def test_noise_has_none_and_a_wave_that_matters_not_is_none(waves, seed):
+    likelihood = rotor(*waves, seed=seed)
     assert fast_ripples(likelihood, as_believed(likelihood)) == []
 
 
 def test_a_wave_that_the_model_has_is_not_found_again():
     """Though it is twice as large as believed: another of its order would be no other ripple."""
     likelihood, wave = rotor((0.06, 72.0, 0.7)), (0.03, 72.0, 0.7)
-    robot = replace(likelihood.robot, effects=(EffectSpec(
-        name='torque_ripple', joint=likelihood.robot.joints[0], values=wave),))
-    assert fast_ripples(likelihood, likelihood.fitted(robot, np.zeros(
-        len(likelihood.nuisances)))) == []
+    robot = affected(likelihood.robot, likelihood.robot.joints[0], 'torque_ripple', *wave)
+    assert fast_ripples(likelihood, as_believed(likelihood, robot)) == []
 
 
 def test_of_ripples_those_are_written_that_predict_better():
@@ -99,9 +88,8 @@ def test_of_ripples_those_are_written_that_predict_better():
     likelihood = rotor(wave)
     model, columns = retuned_of(likelihood)
     state = State(model, columns, columns[:0], 0.0)
-    ripples = [SimpleNamespace(spec=EffectSpec(
-        name=name, joint=likelihood.robot.joints[0], values=values)) for name, values in (
-            ('torque_ripple', wave), ('torque_ripple_2', (0.3, 3.0, 0.0)))]
+    ripples = [SimpleNamespace(spec=effect_on(likelihood.robot.joints[0], name, *values))
+               for name, values in (('torque_ripple', wave), ('torque_ripple_2', (0.3, 3.0, 0.0)))]
     held_out = HeldOut(likelihood)
     gap = held_out.gap(state, state)
     written, with_it = with_ripples(likelihood, held_out, ripples, (state, state), gap)
@@ -114,7 +102,7 @@ def test_of_ripples_those_are_written_that_predict_better():
     ('kinematic_error', (2e-4, 150.0, 0.3), [])])
 def test_an_error_of_the_gear_is_no_ripple(effect, values, expected, robot, gains):
     """Both act on the motor alike; the link feels an error of the gear as well."""
-    hidden = replace(robot, effects=(EffectSpec(name=effect, joint='joint1', values=values),))
+    hidden = affected(robot, 'joint1', effect, *values)
     likelihood = Likelihood([driven_motion(hidden, gains)], robot)
     found = fast_ripples(likelihood, retuned_of(likelihood)[0])
     assert [one.spec.name for one in found] == expected
@@ -124,8 +112,9 @@ def test_the_workflow_names_it_and_writes_it(robot, gains, tmp_path):
     """Two waves per turn of the generator of a gear of 160: they pass at 28 Hz, and at 80."""
     time, true_wave = np.arange(10_000) * 2e-3, (0.015, 320.0, 0.3)
     reference = motions.draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
-    result = find_discrepancy([driven(robot, robot, gains, reference, time, EffectSpec(
-        name='torque_ripple', joint='joint1', values=true_wave))], robot)
+    recording = driven(robot, robot, gains, reference, time,
+                       effect_on('joint1', 'torque_ripple', *true_wave))
+    result = find_discrepancy([recording], robot)
     assert result.verdict == FOUND, result.words
     assert [(one.effect, one.joint) for one in result.findings] == [('torque_ripple', 'joint1')]
     assert result.findings[0].full_rate

@@ -5,13 +5,13 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 from bench.hidden_robots.cases import make_case
+from core_runs import effect_on
 from gms_flex_control.discrepancy import findings, friction_anew, workflow
 from gms_flex_control.discrepancy.findings import evidence_shares
 from gms_flex_control.discrepancy.gap import Errors, HeldOut
 from gms_flex_control.discrepancy.remainder import Free
 from gms_flex_control.discrepancy.thresholds import RESEMBLES
 from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
-from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
 
@@ -26,8 +26,8 @@ def free(evidence, variable=RATE):
 def shares_of(instead, beside, left=None):
     """Return the share of each effect of ``instead``, dict of evidence in its place, by name."""
     names = list(instead)
-    model = SimpleNamespace(robot=SimpleNamespace(effects=tuple(
-        EffectSpec(name=name, joint='slide', values=(0.1, 0.1, 0.1)) for name in names)))
+    model = SimpleNamespace(robot=SimpleNamespace(
+        effects=tuple(effect_on('slide', name, 0.1, 0.1, 0.1) for name in names)))
     worths = [SimpleNamespace(index=i, outright=OUTRIGHT[name], less=name,
                               rest=SimpleNamespace(jacobian=None)) for i, name in enumerate(names)]
     functions = SimpleNamespace(ranked=lambda less, columns, joint: [free(instead[less])])

@@ -4,12 +4,13 @@
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
+from core_runs import effect_on
 from discrepancy_runs import likelihood_of
 from gms_flex_control.discrepancy.dictionary import allowed
 from gms_flex_control.discrepancy.fitting import is_at_limit, refitted, solve
 from gms_flex_control.effects.base import linear
 from gms_flex_control.effects.registry import bounds_of
-from gms_flex_control.params.robot import EffectSpec, with_effects
+from gms_flex_control.params.robot import with_effects
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
@@ -78,14 +79,12 @@ def test_friction_by_load_turns_over_the_reach_that_is_there(factor):
 def test_friction_that_pushes_is_not_looked_for(robot):
     """All viscous friction may be gone; what is said to be more is no slope but something else."""
     viscous = robot.friction.forward.viscous[0]
-    lower, upper = bounds_of(EffectSpec(
-        name='viscous_error', joint='joint1', values=(0.0,)), robot)
+    lower, upper = bounds_of(effect_on('joint1', 'viscous_error', 0.0), robot)
     assert lower == [-max(viscous, robot.friction.backward.viscous[0])] and upper == [np.inf]
     size = 0.01
     guess = allowed(linear(size)[0], lower, upper)
     assert guess.values([-1e3])[0] == lower[0] == pytest.approx(guess.lowest * size)
-    at = [EffectSpec(name='viscous_error', joint='joint1', values=(share * lower[0],))
-          for share in (1.0, 0.9, -2.0)]
+    at = [effect_on('joint1', 'viscous_error', share * lower[0]) for share in (1.0, 0.9, -2.0)]
     assert [is_at_limit(spec, robot) for spec in at] == [False, False, False]
 
 
@@ -95,5 +94,5 @@ def test_a_value_where_the_catalogue_ends_is_none(robot):
             ('input_delay', (0.05,), True), ('input_delay', (0.049,), False),
             ('encoder_skew', (-0.05,), True), ('encoder_skew', (0.0,), False),
             ('presliding_error', (0.1, 1.0), False), ('backlash', (0.0,), False)):
-        spec = EffectSpec(name=name, joint='joint1', values=values)
+        spec = effect_on('joint1', name, *values)
         assert is_at_limit(spec, robot) == expected

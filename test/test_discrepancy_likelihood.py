@@ -5,12 +5,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from bench.hidden_robots.cases import make_case
+from core_runs import affected, effect_on
 from discrepancy_runs import as_believed, driven_motion, likelihood_of
 from gms_flex_control.discrepancy.fitting import fit, normal_equations
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.null_simulation import is_followed, null_readings
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.params.robot import EffectSpec, with_effects
+from gms_flex_control.params.robot import with_effects
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -118,8 +119,7 @@ def test_the_same_robot_costs_the_same_however_it_is_said(robot, coarse, name, n
     index = [one.name for one in likelihood.nuisances].index(nuisance)
     x = np.zeros(len(likelihood.nuisances))
     plain = likelihood.fitted(robot, x)
-    spec = EffectSpec(name=name, joint=robot.joints[likelihood.nuisances[index].joint],
-                      values=(ratio,))
+    spec = effect_on(robot.joints[likelihood.nuisances[index].joint], name, ratio)
     likelihood.encoder_noise.learn(likelihood, replace(spec, values=(0.1,)), [(0, (0.1,))])
     same = with_effects(robot, spec)
     x[index] = 1.0 / (1.0 + ratio) - 1.0
@@ -134,7 +134,7 @@ def test_the_same_robot_costs_the_same_however_it_is_said(robot, coarse, name, n
 
 def test_noise_is_foreseen_of_a_robot_without_what_null_simulations_have(robot, coarse):
     """A ratio of a ratio is no sum: an effect that is there is moved, not put in twice."""
-    spec = EffectSpec(name='link_inertia_error', joint=robot.joints[0], values=(0.4,))
+    spec = effect_on(robot.joints[0], 'link_inertia_error', 0.4)
     x = np.zeros(len(coarse.nuisances))
     heavy = coarse.simulated_as(coarse.fitted(with_effects(robot, spec), x))
     heavy.encoder_noise.learn(heavy, replace(spec, values=(0.1,)), [(0, (0.1,))])
@@ -144,7 +144,7 @@ def test_noise_is_foreseen_of_a_robot_without_what_null_simulations_have(robot, 
 
 def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, coarse):
     """Three numbers determine what both links weigh, whatever payload and beliefs add up to."""
-    likelihood, spec = coarse, EffectSpec(name='tip_payload', joint='arm', values=(0.1,))
+    likelihood, spec = coarse, effect_on('arm', 'tip_payload', 0.1)
     likelihood.encoder_noise.learn(likelihood, spec, [(0, (0.1,))])
     heavy = with_effects(robot, replace(spec, values=(0.3,)))
     bodies, carried = (plant.constants_of(one).chain.coupling for one in (robot, heavy))
@@ -161,7 +161,7 @@ def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, coar
 def test_a_fit_ends_with_what_encoder_noise_truly_adds(robot, gains):
     """Blocks that give way are not linear in how soft they are; the cost is that of evidence."""
     coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
-    soft = EffectSpec(name='presliding_error', joint=robot.joints[1], values=(-0.5, 0.0))
+    soft = effect_on(robot.joints[1], 'presliding_error', -0.5, 0.0)
     likelihood = Likelihood([driven_motion(with_effects(coarse, soft), gains)], robot)
     probe = (-0.1, 0.0)
     likelihood.encoder_noise.learn(likelihood, replace(soft, values=probe), [(0, probe)])
@@ -182,7 +182,7 @@ def test_what_sticks_is_measured_by_the_noise_of_what_sticks():
     """A motor that holds by dry friction creeps unseen: the true model misses torque there."""
     case = make_case('single', 45, duration=20.0)
     likelihood = likelihood_of(case)
-    true = likelihood.fitted(case.truth.robot, np.zeros(len(likelihood.nuisances)))
+    true = as_believed(likelihood, case.truth.robot)
     settled = likelihood.simulated_as(true)
     again = settled.fitted(true.robot, true.x)
     levels = [np.mean(model.whitened ** 2) / np.mean(one.clean ** 2)
@@ -192,7 +192,6 @@ def test_what_sticks_is_measured_by_the_noise_of_what_sticks():
 
 def test_a_simulation_that_goes_its_own_way_is_no_null_simulation(likelihood, robot):
     """A drive that lags far behind the hold on the motion swings about it, ever wider."""
-    zero = np.zeros(len(likelihood.nuisances))
-    late = with_effects(robot, EffectSpec(name='actuator_lag', joint='joint1', values=(0.05,)))
+    late = affected(robot, 'joint1', 'actuator_lag', 0.05)
     assert is_followed(likelihood, as_believed(likelihood))
-    assert not is_followed(likelihood, likelihood.fitted(late, zero))
+    assert not is_followed(likelihood, as_believed(likelihood, late))

@@ -4,15 +4,13 @@
 from dataclasses import replace
 
 from bench.hidden_robots.plants import draw_belief, draw_robot
-from core_runs import single_axis
-from discrepancy_runs import FRICTIONLESS
+from core_runs import effect_on, single_axis
+from discrepancy_runs import FRICTIONLESS, motion_along
 from gms_flex_control.data.recording import Recording, resample_held
-from gms_flex_control.discrepancy.motion import make_motion, standing
+from gms_flex_control.discrepancy.motion import standing
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
-from gms_flex_control.discrepancy.samples import make_samples
 from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
 from gms_flex_control.simulation.loop import SteppedPlant
 import numpy as np
@@ -29,11 +27,8 @@ def test_a_held_torque_and_the_second_difference_of_the_angle_agree_exactly(peri
     rate = np.concatenate([[0.0], np.cumsum(command[:-1, 0])]) * period / inertia
     step = rate * period + 0.5 * command[:, 0] * period ** 2 / inertia
     angle = np.concatenate([[0.0], np.cumsum(step[:-1])])
-    readings = np.repeat(angle[:, None, None], 2, axis=1)
     robot = single_axis(FRICTIONLESS, inertia)
-    motion = make_motion(make_samples(
-        robot.joints, np.arange(2000) * period, period, readings, command, np.zeros(2000), True,
-        'parabola'))
+    motion = motion_along(robot, np.arange(2000) * period, angle[:, None], command)
     assert motion.factor == factor
     left = unexplained(motion, plant.constants_of(robot))[4:-4]
     np.testing.assert_allclose(left, 0.0, atol=1e-13 * np.ptp(angle) * inertia / period ** 2)
@@ -93,7 +88,7 @@ def tones(time):
 
 @pytest.mark.parametrize(('plant_kind', 'effects'), [
     ('soft', ()),
-    ('stiff', (EffectSpec(name='motor_coulomb', joint='joint2', values=(0.02,)),))])
+    ('stiff', (effect_on('joint2', 'motor_coulomb', 0.02),))])
 def test_uneven_samples_with_true_stamps_are_no_effect(plant_kind, effects):
     """Torque changes where it was stamped, up to a fifth of a sample beside an even grid."""
     rng = np.random.default_rng(4)

@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
+from core_runs import affected, effect_on
 from discrepancy_runs import driven_motion, likelihood_of, retuned_of
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.remainder import FreeFunctions
@@ -12,7 +13,6 @@ from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
 from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
-from gms_flex_control.params.robot import EffectSpec, with_effects
 import numpy as np
 import pytest
 
@@ -71,9 +71,8 @@ def test_two_gains_that_make_torques_small_gain_nothing():
     case = make_case('clean', 2, population='noise_6', duration=SHORT)
     likelihood = likelihood_of(case)
     zero, n = np.zeros(len(likelihood.nuisances)), likelihood.robot.n_joints
-    weak = replace(likelihood.robot, effects=tuple(
-        EffectSpec(name='torque_gain', joint=joint, values=(-0.5,))
-        for joint in likelihood.robot.joints))
+    weak = replace(likelihood.robot, effects=tuple(effect_on(joint, 'torque_gain', -0.5)
+                                                   for joint in likelihood.robot.joints))
     left = unexplained(likelihood.motions[0], likelihood.constants(weak, zero))
     left[:, n:] /= 0.5  # of the motors, which the drives turn
     np.testing.assert_allclose(likelihood.fitted(weak, zero).whitened,
@@ -90,7 +89,7 @@ def test_what_coarse_encoders_misread_is_no_function_of_rate_or_torsion():
 
 def test_a_function_of_torsion_is_a_springs_which_acts_on_link_and_motor(robot, gains):
     """So it shows another stiffness, which a function in either equation alone does not."""
-    stiff = with_effects(robot, EffectSpec(name='stiffness_error', joint='joint2', values=(0.3,)))
+    stiff = affected(robot, 'joint2', 'stiffness_error', 0.3)
     likelihood = Likelihood([driven_motion(stiff, gains, seed=1, duration=12.0)], robot)
     believed, columns = retuned_of(likelihood)
     best = FreeFunctions(likelihood).ranked(believed, columns)[0]

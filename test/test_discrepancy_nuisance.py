@@ -3,8 +3,8 @@
 
 from dataclasses import replace
 
+from core_runs import effect_on
 from gms_flex_control.discrepancy.nuisance import nuisances_of, tuned, with_nuisances
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -68,8 +68,7 @@ def test_nuisances_scale_a_link_beside_what_effects_add(ideal_robot, effect, kin
     """The fit moves the inertia of the link, not of its payload; so does the robot written."""
     name, joint, values = effect
     arm = replace(ideal_robot.arm, kind=kind, mass=mass, gravity=[0.0, -9.0])
-    robot = replace(ideal_robot, arm=arm, effects=(
-        EffectSpec(name=name, joint=joint, values=values),))
+    robot = replace(ideal_robot, arm=arm, effects=(effect_on(joint, name, *values),))
     nuisances = nuisances_of(robot)
     for seed in range(5):
         x = np.random.default_rng(seed).uniform(-0.04, 0.04, len(nuisances))
@@ -79,7 +78,7 @@ def test_nuisances_scale_a_link_beside_what_effects_add(ideal_robot, effect, kin
 @pytest.mark.parametrize('tilt', [0.0, 0.1])
 def test_a_point_mass_and_a_known_tilt_are_written_as_they_are_fitted(ideal_robot, tilt):
     """Moments up and inertia down would ask for an inertia below zero about the centre of mass."""
-    known = (EffectSpec(name='gravity_tilt', joint='arm', values=(tilt, -1.5)),) if tilt else ()
+    known = (effect_on('arm', 'gravity_tilt', tilt, -1.5),) if tilt else ()
     robot = replace(ideal_robot, effects=known, arm=replace(
         ideal_robot.arm, inertia=[0.0, 0.0], gravity=[0.0, -9.0 * (not tilt)]))
     nuisances = nuisances_of(robot)

@@ -4,16 +4,14 @@
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
-from core_runs import padded, single_axis
-from discrepancy_runs import as_believed, driven_motion, rms_left
+from core_runs import affected, effect_on, padded, single_axis
+from discrepancy_runs import as_believed, driven_motion, motion_along, null_run, rms_left
 from gms_flex_control.discrepancy.likelihood import Likelihood
-from gms_flex_control.discrepancy.motion import make_motion, motion_of
-from gms_flex_control.discrepancy.null_simulation import null_readings
-from gms_flex_control.discrepancy.samples import make_samples
+from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.robot import EffectSpec, FrictionParams, StribeckParams
+from gms_flex_control.params.robot import FrictionParams, StribeckParams
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -22,12 +20,11 @@ from scipy.ndimage import uniform_filter1d
 
 def test_a_null_simulation_belongs_to_its_model_whatever_the_recording_held(ideal_robot, gains):
     """The recording holds backlash and a tenth of friction as bias; the simulated one neither."""
-    effects = (EffectSpec(name='backlash', joint='joint1', values=(0.005,)),
-               EffectSpec(name='motor_torque_bias', joint='joint2', values=(0.01,)))
+    effects = (effect_on('joint1', 'backlash', 0.005),
+               effect_on('joint2', 'motor_torque_bias', 0.01))
     motion = driven_motion(replace(ideal_robot, effects=effects), gains)
-    constants = plant.constants_of(ideal_robot)
-    again = null_readings(motion, constants)(np.random.default_rng(0))
-    before, after = (rms_left(one, constants) for one in (motion, again))
+    again = null_run(motion, ideal_robot)
+    before, after = (rms_left(one, plant.constants_of(ideal_robot)) for one in (motion, again))
     assert before[0] > 3e-3 and before[3] > 9e-3
     assert np.all(after < 0.1 * before.max())
     assert np.abs(again.samples.readings - motion.samples.readings)[:, 1].max() < 0.02
@@ -37,11 +34,10 @@ def test_a_null_simulation_belongs_to_its_model_whatever_the_recording_held(idea
 @pytest.mark.parametrize('delay', [9.5e-3, -4e-3])
 def test_a_null_simulation_is_recorded_as_wrongly_as_its_model_says(ideal_robot, gains, delay):
     """By samples: what its torques leave, taken as they acted, is its encoders' alone."""
-    late = replace(ideal_robot, effects=(EffectSpec(
-        name='recording_delay', joint='arm', values=(delay,)),))
+    late = affected(ideal_robot, 'arm', 'recording_delay', delay)
     likelihood = Likelihood([driven_motion(ideal_robot, gains)], ideal_robot)
-    x, static = np.zeros(len(likelihood.nuisances)), np.tile(ideal_robot.friction.forward.static,
-                                                             2)
+    x = np.zeros(len(likelihood.nuisances))
+    static = np.tile(ideal_robot.friction.forward.static, 2)
     runs = likelihood.null_simulations(late, x)([np.random.default_rng(0)])
     left, as_stamped = (np.sqrt(np.mean(uniform_filter1d(likelihood.unexplained(
         runs, robot, x)[0][50:-50], 10, axis=0) ** 2, axis=0)) for robot in (late, ideal_robot))
@@ -56,13 +52,11 @@ def test_a_rigid_axis_is_held_on_its_motion_wherever_its_inertia_stands(inertia)
     friction = FrictionParams(forward=friction, backward=friction, stiffness=[[50.0]],
                               weight=[[1.0]], attraction=[50.0])
     robot = single_axis(friction, inertia, motor_inertia=0.11 - inertia)
-    time = np.arange(2500) * 2e-3
+    time = np.arange(2500)[:, None] * 2e-3
     angle = 0.3 * np.sin(np.pi * time)
     command = 0.125 * np.sign(np.cos(np.pi * time)) - 0.11 * np.pi ** 2 * angle
-    motion = make_motion(make_samples(
-        robot.joints, time, 2e-3, np.repeat(angle[:, None, None], 2, axis=1), command[:, None],
-        np.zeros(len(time)), True, 'sine'))
-    again = null_readings(motion, plant.constants_of(robot))(np.random.default_rng(0))
+    motion = motion_along(robot, time[:, 0], angle, command)
+    again = null_run(motion, robot)
     assert np.abs(again.samples.readings - motion.samples.readings).max() < 1e-3
 
 
@@ -82,9 +76,8 @@ def test_links_that_carry_a_heavy_one_are_held_at_100_hz(ideal_robot):
     ratio = np.einsum('kjj,kjj->kj', mass, np.linalg.inv(mass))
     assert ratio.max() > 50.0
     command = chain.inverse_dynamics(q, dq, ddq, arm) + np.tanh(dq / 0.01)
-    motion = make_motion(make_samples(robot.joints, time, 0.01, np.stack([q, q], axis=1), command,
-                                      np.zeros(len(time)), True, 'coupled'))
-    again = null_readings(motion, plant.constants_of(robot))(np.random.default_rng(0))
+    motion = motion_along(robot, time, q, command)
+    again = null_run(motion, robot)
     assert np.abs(again.samples.readings - motion.samples.readings).max() < 0.05
 
 
@@ -93,7 +86,7 @@ def test_a_null_simulation_stands_where_the_recording_stood(seed, gravity):
     """Under a weight that makes it fall otherwise, and where a soft spring would let it creep."""
     case = make_case('clean', seed, gravity=gravity, duration=20.0)
     motion, robot = motion_of(case.recording, case.truth.robot), case.truth.robot
-    again = null_readings(motion, plant.constants_of(case.nominal))(np.random.default_rng(0))
+    again = null_run(motion, case.nominal)
     assert np.abs(again.states - motion.states)[:, [0, 3]].max() < 0.02
     assert motion.standing[motion.time > 1.0].mean() > 0.01
     standing = motion.standing & again.standing

@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
+from core_runs import affected
 from discrepancy_runs import as_believed, likelihood_of, retuned_of
 from gms_flex_control.discrepancy.evidence import state_of
 from gms_flex_control.discrepancy.fitting import refitted, with_white_noise
@@ -14,7 +15,6 @@ from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOptions
 from gms_flex_control.effects.registry import find
 from gms_flex_control.identification.unseen_links import with_links
-from gms_flex_control.params.robot import EffectSpec, with_effects
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -62,8 +62,7 @@ def test_an_effect_of_no_size_changes_nothing(effect):
     values = [parameter.upper if np.isfinite(parameter.upper) else 1.0
               for parameter in find(effect).parameters]
     values[0] = 1e-13
-    other = with_effects(case.nominal, EffectSpec(name=effect, joint='joint1',
-                                                  values=tuple(values)))
+    other = affected(case.nominal, 'joint1', effect, *values)
     rows = [unexplained(motion, plant.constants_of(robot)) for robot in (case.nominal, other)]
     assert np.std(rows[1] - rows[0]) < 1e-6 * np.std(rows[0])
 
@@ -130,8 +129,7 @@ def test_torque_that_was_recorded_late_is_named_by_the_motors_alone():
 def test_a_spring_so_soft_that_the_computed_link_runs_away_is_no_model():
     case = make_case('clean', 3, plant='stiff', duration=10.0)
     likelihood = likelihood_of(replace(case, recording=blind(case.recording)))
-    robot = with_effects(case.nominal, EffectSpec(name='spring_cubic', joint='joint2',
-                                                  values=(-5e8,)))
+    robot = affected(case.nominal, 'joint2', 'spring_cubic', -5e8)
     nuisances = likelihood.jacobian(as_believed(likelihood))
     with np.errstate(all='ignore'):
         model, columns = refitted(likelihood, robot, np.zeros(len(likelihood.sd)), nuisances)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from bench.hidden_robots.cases import make_case
+from core_runs import affected, effect_on
 from discrepancy_runs import as_believed, driven_motion, likelihood_of, retuned_of
 from gms_flex_control.data.signal_analysis import FOLDS
 from gms_flex_control.discrepancy import findings, worth
@@ -27,7 +28,7 @@ from gms_flex_control.discrepancy.validation import (
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.params.arm import at_last_link, Body, carrying
-from gms_flex_control.params.robot import EffectSpec, with_effects
+from gms_flex_control.params.robot import with_effects
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -85,7 +86,7 @@ def test_prediction_one_sample_ahead_is_no_better_with_less_torque_of_everything
                                        'viscous')) for one in likelihood.nuisances])
     less = robot
     for joint in robot.joints:
-        less = with_effects(less, EffectSpec(name='torque_gain', joint=joint, values=(-0.3,)))
+        less = affected(less, joint, 'torque_gain', -0.3)
     own, other = prediction_cost(likelihood, [(robot, 0.0 * x), (less, x)])
     assert own < other
 
@@ -117,7 +118,7 @@ def test_a_joint_is_predicted_from_earlier_errors_of_the_joints_that_move_it():
     ('motor_viscous', (1e-4,)), ('spring_cubic', (0.1,))])
 def test_an_effect_that_is_not_there_gains_nothing(clean, name, values):
     """Of a clean robot: whatever it is fitted to in some blocks of time is not in the others."""
-    gain = gain_with(clean, EffectSpec(name=name, joint='joint1', values=values))
+    gain = gain_with(clean, effect_on('joint1', name, *values))
     assert not gain.is_real() and gain.nats < 6.0
 
 
@@ -205,8 +206,7 @@ def test_free_runs_carry_the_load_of_their_recording(ideal_robot, gains):
 @pytest.mark.parametrize('name, values', [('input_delay', (0.01,)), ('actuator_lag', (0.01,))])
 def test_a_free_run_remembers_what_went_before_it(name, values, ideal_robot, gains):
     """Torques on their way as a run begins are those asked for before, whichever run is first."""
-    late = replace(ideal_robot, effects=(EffectSpec(
-        name=name, joint=ideal_robot.joints[0], values=values),))
+    late = affected(ideal_robot, ideal_robot.joints[0], name, *values)
     motion, starts = driven_motion(late, gains, duration=6.0), np.array([1000, 2100])
     errors = [np.sqrt(np.mean(np.square(free_runs(motion, plant.constants_of(robot), starts)[1:]),
                               axis=(0, 2, 3))) for robot in (ideal_robot, late)]
@@ -258,7 +258,7 @@ def test_a_stop_that_is_met_in_few_blocks_is_found():
 def test_a_stop_acts_in_few_blocks_and_a_spring_in_all(case, likelihood):
     highest = max(motion.states[:, 0, 0].max() for motion in likelihood.motions)
     (soft,), joint = case.truth.effects, case.nominal.joints[0]
-    stop = EffectSpec(name='end_stop', joint=joint, values=(0.98 * highest, 5.0))
+    stop = effect_on(joint, 'end_stop', 0.98 * highest, 5.0)
     model = likelihood.fitted(with_effects(case.nominal, soft, stop), np.zeros(
         len(likelihood.nuisances)))
     assert worth.acts_widely(likelihood, model, 0)
@@ -267,8 +267,7 @@ def test_a_stop_acts_in_few_blocks_and_a_spring_in_all(case, likelihood):
 
 @pytest.mark.parametrize(('order', 'is_alike'), [(8.0, True), (8.05, True), (14.0, False)])
 def test_a_wave_of_another_order_acts_otherwise(case, likelihood, order, is_alike):
-    ripple = EffectSpec(name='torque_ripple', joint=case.nominal.joints[0],
-                        values=(0.05, order, 0.3))
+    ripple = effect_on(case.nominal.joints[0], 'torque_ripple', 0.05, order, 0.3)
     model = likelihood.fitted(with_effects(case.nominal, ripple), np.zeros(
         len(likelihood.nuisances)))
     values = [SimpleNamespace(value=value) for value in (0.05, 8.0, 0.3)]

@@ -8,6 +8,7 @@ from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.motions import draw_reference
 from bench.hidden_robots.plants import draw_belief, draw_robot
 from bench.hidden_robots.truth import Disturbance
+from core_runs import effect_on
 from discrepancy_runs import driven
 from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.describe import named as described
@@ -17,7 +18,6 @@ from gms_flex_control.discrepancy.workflow import find_discrepancy, SearchOption
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, IdentificationError, SimulationError
 from gms_flex_control.identification.assumed_robot import believed_model
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.reports.answers import discrepancy_answer
 from gms_flex_control.reports.discrepancy_values import report_values
 import numpy as np
@@ -211,7 +211,7 @@ def test_the_next_command_takes_the_model_that_was_written(named, tmp_path, name
     """Friction that `identify` does not find is tried on the data held out, then controlled."""
     _, result = named
     kind = registry.find(name)
-    spec = EffectSpec(name=name, joint='arm' if kind.whole_arm else 'joint1', values=tuple(
+    spec = effect_on('arm' if kind.whole_arm else 'joint1', name, *(
         max(one.lower, 0.1) if one.upper > 0.1 else one.upper for one in kind.parameters))
     result = replace(result, robot=replace(result.robot, effects=(spec,)))
     model = f"--robot {tmp_path / 'robot.yaml'} "
@@ -230,7 +230,7 @@ def test_one_joint_is_named_where_another_is_unexplained(tmp_path):
     rng, time = np.random.default_rng(4), np.arange(8000) * 2e-3
     robot, gains = draw_robot(rng, 'stiff')
     nominal, reference = draw_belief(rng, robot), draw_reference(rng, 'rich', 'stiff', time)
-    level = EffectSpec(name='coulomb_error', joint='joint2', values=(0.4,))
+    level = effect_on('joint2', 'coulomb_error', 0.4)
     tone = Disturbance('periodic_link_torque', 0, (
         0.3 * robot.friction.forward.static[0], 2.0 * np.pi * 4.5, 0.3), np.zeros(len(time)))
     recording = driven(robot, nominal, gains, reference, time, level, disturbance=tone)
@@ -283,8 +283,8 @@ def test_torque_constant_and_inertia_are_separated_by_the_spring():
     robot, gains = draw_robot(rng, 'stiff')
     nominal, reference = draw_belief(rng, robot), draw_reference(rng, 'rich', 'stiff', time)
     hidden = {'torque_gain': 0.14, 'motor_inertia_error': -0.26}
-    recording = driven(robot, nominal, gains, reference, time, *(
-        EffectSpec(name=name, joint='joint1', values=(value,)) for name, value in hidden.items()))
+    recording = driven(robot, nominal, gains, reference,
+                       time, *(effect_on('joint1', name, value) for name, value in hidden.items()))
     result = find_discrepancy([recording], nominal)
     assert {one.effect: one.joint for one in result.named} == dict.fromkeys(hidden, 'joint1')
     for one in result.named:
@@ -324,8 +324,8 @@ def test_no_model_is_written_that_predicts_worse_than_the_one_given():
     rng, time = np.random.default_rng(3), np.arange(7000) * 2e-3
     robot, gains = draw_robot(rng, 'stiff')
     reference = draw_reference(rng, 'rich', 'stiff', time)
-    recordings = [driven(robot, robot, gains, reference, time, *effects) for effects in (
-        (EffectSpec(name='motor_viscous', joint='joint1', values=(0.03,)),), ())]
+    recordings = [driven(robot, robot, gains, reference, time, *effects)
+                  for effects in ((effect_on('joint1', 'motor_viscous', 0.03),), ())]
     result = find_discrepancy(recordings[:1], robot, SearchOptions(most=1), holdout=recordings[1:])
     assert [one.effect for one in result.minor] == ['motor_viscous'] and not result.findings
     assert result.robot.effects == ()
@@ -340,7 +340,7 @@ def test_an_effect_matters_that_other_recordings_do_not_touch(angle, stiffness, 
     rng, time = np.random.default_rng(3), np.arange(7000) * 2e-3
     robot, gains = draw_robot(rng, 'stiff')
     references = [draw_reference(rng, 'rich', 'stiff', time) for _ in range(3)]
-    stop = EffectSpec(name='end_stop', joint='joint1', values=(angle, stiffness))
+    stop = effect_on('joint1', 'end_stop', angle, stiffness)
     recordings = []
     for scale, reference in zip((1.0, 0.6, 0.6), references, strict=True):
         recordings.append(driven(robot, robot, gains, scale * reference, time, stop))

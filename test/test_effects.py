@@ -5,12 +5,11 @@ from dataclasses import replace
 import re
 
 import core_runs
-from core_runs import push_plant
+from core_runs import affected, effect_on, push_plant
 from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import registry, table
 from gms_flex_control.effects.base import Change, Stage, Term
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import loop
 from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory.builders import hold
@@ -145,8 +144,7 @@ def random_signals(n, seed):
 
 def run_compiled(name, values, signals, joint=1, memory=None, dt=DT):
     """Return the signals after the compiled stage, dispatched by address."""
-    entry = table.build([EffectSpec(name=name, joint=f'j{joint}', values=tuple(values))],
-                        ('j0', 'j1', 'j2'))
+    entry = table.build([effect_on(f'j{joint}', name, *values)], ('j0', 'j1', 'j2'))
     out = signals.copy()
     memory = np.zeros(table.MEMORY_SIZE) if memory is None else memory
     table.run_stage(int(registry.find(name).stage), out, memory, dt, entry)
@@ -194,7 +192,7 @@ def test_the_compiled_term_is_the_plain_python_one(name):
 
 @pytest.mark.parametrize('name', TERMS)
 def test_a_term_with_values_of_nothing_leaves_the_run_as_it_is(ideal_robot, name):
-    spec = EffectSpec(name=name, joint='joint1', values=tuple(NOTHING[name]))
+    spec = effect_on('joint1', name, *NOTHING[name])
     command = 0.3 * np.sin(np.arange(400)[:, None] * [0.01, 0.02])
     runs = [push_plant(robot, command, 2e-3, substeps=4)
             for robot in (ideal_robot, replace(ideal_robot, effects=(spec,)))]
@@ -208,7 +206,7 @@ def test_a_term_with_values_changes_the_run(ideal_robot, name):
     """It is wired into the plant, not only into the table."""
     values = {'actuator_saturation': [0.05], 'backlash': [0.05]}.get(name, EQUATIONS[name][0])
     joint = 'joint2' if name == 'motor_inertia_coupling' else 'joint1'
-    spec = EffectSpec(name=name, joint=joint, values=tuple(values))
+    spec = effect_on(joint, name, *values)
     command = 0.4 * np.sin(np.arange(400)[:, None] * [0.01, 0.02])
     runs = [push_plant(robot, command, 2e-3, substeps=4)
             for robot in (ideal_robot, replace(ideal_robot, effects=(spec,)))]
@@ -220,7 +218,7 @@ def test_a_term_with_values_changes_the_run(ideal_robot, name):
     ('link_encoder_eccentricity', (0.1, 0.3)), ('recording_delay', (2e-3,))])
 def test_an_encoder_that_reads_rates_reads_those_of_the_angles_it_reads(ideal_robot, name, values):
     """Against central differences of what was read, which are off by period^2 / 6 q'''."""
-    spec = EffectSpec(name=name, joint='joint1', values=values)
+    spec = effect_on('joint1', name, *values)
     period, read, true = 2.5e-4, [], []
     plant = SteppedPlant(replace(ideal_robot, effects=(spec,)), period=period, substeps=20)
     plant.measure()
@@ -303,7 +301,7 @@ def test_terms_run_in_the_order_of_stages_then_of_the_file():
     joints = ('j0', 'j1', 'j2')
     names = (('spring_cubic', [100.0]), ('spring_offset', [0.1]), ('torque_gain', [1.0]),
              ('actuator_saturation', [0.5]))
-    specs = [EffectSpec(name=name, joint='j1', values=tuple(values)) for name, values in names]
+    specs = [effect_on('j1', name, *values) for name, values in names]
     for order, torque in ((specs, 0.5), ([*specs[:2], specs[3], specs[2]], 1.0)):
         entry, signals = table.build(order, joints), np.zeros((3, sig.WIDTH))
         signals[:, sig.TORQUE] = 0.7
@@ -317,8 +315,7 @@ def test_terms_run_in_the_order_of_stages_then_of_the_file():
 def test_terms_with_memory_do_not_share_it():
     """The same lag twice on one joint and once on another: three filters."""
     joints = ('j0', 'j1', 'j2')
-    lag = [EffectSpec(name='actuator_lag', joint=joint, values=(0.01,))
-           for joint in ('j1', 'j1', 'j0')]
+    lag = [effect_on(joint, 'actuator_lag', 0.01) for joint in ('j1', 'j1', 'j0')]
     entry, memory = table.build(lag, joints), np.zeros(table.MEMORY_SIZE)
     for _ in range(100):
         signals = np.zeros((3, sig.WIDTH))
@@ -331,7 +328,7 @@ def test_terms_with_memory_do_not_share_it():
 
 
 def test_more_effects_than_the_table_holds_are_refused():
-    many = [EffectSpec(name='torque_gain', joint='j0', values=(0.1,))] * (table.MAX_TERMS + 1)
+    many = [effect_on('j0', 'torque_gain', 0.1)] * (table.MAX_TERMS + 1)
     with pytest.raises(ParameterError, match='65 effects are more than the 64 that'):
         table.build(many, ('j0',))
     table.build(many[1:], ('j0',))
@@ -354,8 +351,7 @@ def test_a_drift_ends_with_its_duration():
 
 def with_effect(robot, name, joint, *values):
     """Return the robot with one change put into its parameters."""
-    return table.with_changes(replace(
-        robot, effects=(EffectSpec(name=name, joint=joint, values=values),)))
+    return table.with_changes(affected(robot, joint, name, *values))
 
 
 def test_changes_are_other_parameters(ideal_robot):
@@ -373,8 +369,8 @@ def test_changes_are_other_parameters(ideal_robot):
 
 def test_the_order_in_a_file_does_not_change_the_robot(ideal_robot):
     """A link heavier than believed does not make heavier what it carries."""
-    payload = EffectSpec(name='tip_payload', joint='arm', values=(0.5,))
-    heavier = EffectSpec(name='link_inertia_error', joint='joint2', values=(0.5,))
+    payload = effect_on('arm', 'tip_payload', 0.5)
+    heavier = effect_on('joint2', 'link_inertia_error', 0.5)
     one, other = (table.with_changes(replace(ideal_robot, effects=effects)).arm
                   for effects in ((payload, heavier), (heavier, payload)))
     for name in ('mass', 'com', 'inertia'):
@@ -418,7 +414,7 @@ def test_a_payload_adds_the_energy_of_a_mass_at_the_tip(ideal_robot):
 
 
 def test_a_sensor_effect_changes_what_is_measured_and_not_what_is_true(ideal_robot, gains):
-    spec = EffectSpec(name='link_encoder_eccentricity', joint='joint2', values=(0.02, 0.5))
+    spec = effect_on('joint2', 'link_encoder_eccentricity', 0.02, 0.5)
     robot = replace(ideal_robot, effects=(spec,))
     run = loop.run(robot, ideal_robot, gains, hold([0.0, 0.0]), duration=0.1)
     measured, true = run.measured[:, 0], run.true[:, 0]

@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 from bench.hidden_robots.cases import make_case
-from core_runs import push_plant
+from core_runs import effect_on, push_plant
 from discrepancy_runs import likelihood_of
 from gms_flex_control.discrepancy.dictionary import guesses_of
 from gms_flex_control.discrepancy.remainder import VARIABLES
@@ -12,7 +12,6 @@ from gms_flex_control.effects import registry
 from gms_flex_control.effects.base import Scales, Stage, Term, Travel
 from gms_flex_control.effects.catalogue.friction_level import ViscousError
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
 
@@ -117,7 +116,7 @@ def test_an_effect_of_another_package_moves_the_plant(offered, ideal_robot):
     """As one of the catalogue with the same equation, to the bit."""
     command = 0.3 * np.sin(np.arange(400)[:, None] * [0.01, 0.02])
     runs = [push_plant(replace(ideal_robot, effects=effects), command, 2e-3, substeps=4)
-            for effects in ((), *((EffectSpec(name=name, joint='joint1', values=(0.2,)),)
+            for effects in ((), *((effect_on('joint1', name, 0.2),)
                                   for name in ('cable_drag', ViscousError.name)))]
     assert np.abs(runs[0] - runs[1]).max() > 1e-3
     np.testing.assert_array_equal(runs[1], runs[2])

@@ -3,14 +3,14 @@
 
 from dataclasses import replace
 
-from core_runs import single_axis
+from core_runs import effect_on, single_axis
 from gms_flex_control import friction as gms
 from gms_flex_control.data.recording import later
 from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.robot import EffectSpec, FrictionParams, StribeckParams
+from gms_flex_control.params.robot import FrictionParams, StribeckParams
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ YIELDS = 0.01 * 10.0 ** (-0.5 * np.arange(4))
 
 def torque_along(name, values, angle):
     """Return the torque that an effect on friction has along link angles (T,)."""
-    entry = table.build([EffectSpec(name=name, joint='axis', values=values)], ('axis',))
+    entry = table.build([effect_on('axis', name, *values)], ('axis',))
     memory, torque = np.zeros(table.MEMORY_SIZE), []
     for q in angle:
         signals = np.zeros((1, sig.WIDTH))
@@ -126,7 +126,7 @@ def test_the_load_of_a_rigid_joint_is_what_its_link_takes(single_rigid, rotor):
     arm = ArmParams(kind='planar', mass=[0.5], length=[0.4], com=[0.2], inertia=[0.01],
                     motor_inertia=[rotor], stiffness=[np.inf], damping=[0.0],
                     gravity=[0.0, -9.81])
-    spec = EffectSpec(name='load_friction', joint='axis', values=(0.2, 1e-9))
+    spec = effect_on('axis', 'load_friction', 0.2, 1e-9)
     robot = replace(single_rigid, arm=arm, effects=(spec,))
     state, work = plant.init(robot, [0.3]), plant.workspace(1)
     state.dq_link[:] = state.dq_motor[:] = 0.7
@@ -143,7 +143,7 @@ def test_the_load_of_a_rigid_joint_is_what_its_link_takes(single_rigid, rotor):
 @pytest.mark.parametrize('delay', [0.02, -0.005])
 def test_a_recording_delay_shifts_all_that_is_sensed_and_moves_nothing(ideal_robot, delay):
     """Along sines of 1 Hz to third order of the delay; the robot itself runs as without it."""
-    spec = EffectSpec(name='recording_delay', joint='arm', values=(delay,))
+    spec = effect_on('arm', 'recording_delay', delay)
     robot, w = replace(ideal_robot, effects=(spec,)), 2.0 * np.pi
     state, work = plant.init(robot), plant.workspace(2)
     constants, motion = plant.constants_of(robot), np.empty((1, 6, 2))
@@ -166,7 +166,7 @@ def test_a_recording_delay_shifts_all_that_is_sensed_and_moves_nothing(ideal_rob
     ('viscous_asymmetry', (0.03,))])
 def test_friction_along_a_motion_is_that_of_the_run_that_made_it(ideal_robot, name, values):
     """What a residual is formed with: the same kernels, called along the path of a plant."""
-    spec = EffectSpec(name=name, joint='joint1', values=values)
+    spec = effect_on('joint1', name, *values)
     robot = replace(ideal_robot, effects=(spec,))
     constants, dt = plant.constants_of(robot), 1e-3
     state, again = plant.init(robot), plant.init(robot)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 from bench.hidden_robots import outsiders
 from bench.hidden_robots.cases import make_case
+from core_runs import effect_on
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control.feedforward import as_parameters
 from gms_flex_control.discrepancy.learned_words import described, formula_of
@@ -17,7 +18,6 @@ from gms_flex_control.effects import base as sig
 from gms_flex_control.effects import learned, registry, table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.reports.answers import discrepancy_answer
 from gms_flex_control.reports.discrepancy_values import report_values, write_robot
 from gms_flex_control.schema.files import load_robot, save_robot
@@ -38,7 +38,7 @@ SIGNALS = {Stage.LINK: sig.LINK_TORQUE, Stage.SPRING: sig.SPRING, Stage.FRICTION
 
 def spec_of(name, weights, joint='joint1'):
     """Return a term with weights (K,) and the ranges above."""
-    return EffectSpec(name=name, joint=joint, values=(*map(float, weights), *RANGES[name]))
+    return effect_on(joint, name, *map(float, weights), *RANGES[name])
 
 
 def positive(name, rng):
@@ -152,7 +152,7 @@ def test_of_a_linear_axis_words_are_of_forces_and_metres(name, words):
     count = registry.find(name).count
     weights, ends = (np.linspace(0.0, 6.0, count), RANGES[name]) if name == (
         'learned_rate_friction') else (np.full(count, 1.2 / count), RANGES[name])
-    spec = EffectSpec(name=name, joint='slide', values=(*weights, *ends))
+    spec = effect_on('slide', name, *weights, *ends)
     arm = SimpleNamespace(axes='linear')
     assert words in described(spec, (0.0, 5.0) if name == 'learned_rate_friction' else None,
                               arm)[0]

@@ -6,12 +6,12 @@ from dataclasses import replace
 from bench import coverage
 from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.motions import draw_reference
+from core_runs import effect_on
 from discrepancy_runs import driven
 from gms_flex_control.identification.arm_fit import with_axis
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.believed_arm import Believed, believed
 from gms_flex_control.identification.identify import identify, IdentifyOptions
-from gms_flex_control.params.robot import EffectSpec
 from identified_axis import axis, experiment, JOINT, part, pendulum
 import numpy as np
 import pytest
@@ -119,7 +119,7 @@ def test_a_load_does_not_soften_springs_that_are_as_stiff_as_their_motors_say(ro
     """Without gravity heavier links are as softer springs: the motors alone distinguish them."""
     time = np.arange(15000) * 2e-3
     reference = draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
-    payload = EffectSpec(name='tip_payload', joint='arm', values=(mass,))
+    payload = effect_on('arm', 'tip_payload', mass)
     found = believed([driven(robot, robot, gains, reference, time, payload)], robot).arm
     assert found.stiffness == pytest.approx(robot.arm.stiffness, rel=0.015)
     assert found.mass.sum() > robot.arm.mass.sum() + 0.3 * mass

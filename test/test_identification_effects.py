@@ -7,6 +7,7 @@ import re
 
 from bench.hidden_robots.motions import draw_reference
 from bench.identification_simulated import simulate_identification
+from core_runs import affected, effect_on
 from discrepancy_runs import driven
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import rms
@@ -18,7 +19,6 @@ from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.objective import Objective
 from gms_flex_control.identification.problem import Problem
 from gms_flex_control.identification.recording_checks import check
-from gms_flex_control.params.robot import EffectSpec
 from identified_axis import axis, GAINS, JOINT, part, PLAN
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ STRONG = {
 
 def specs(*names):
     """Return strong effects on the joint."""
-    return tuple(EffectSpec(name=name, joint=JOINT, values=STRONG[name]) for name in names)
+    return tuple(effect_on(JOINT, name, *STRONG[name]) for name in names)
 
 
 def plan_of(robot):
@@ -80,8 +80,7 @@ def test_an_effect_that_is_named_does_not_end_in_the_friction(name, rigid):
 def test_torques_that_acted_follow_from_commands_where_drives_have_effects(name):
     """As the simulated drive applied them, from commands, or from efforts that were commands."""
     values = {'actuator_lag': (0.02,), 'torque_gain': (0.3,), 'input_delay': (0.01,)}[name]
-    drive = replace(axis(rigid=True), effects=(
-        EffectSpec(name=name, joint=JOINT, values=values),))
+    drive = affected(axis(rigid=True), JOINT, name, *values)
     recording, _ = simulate_identification(plan_of(drive), drive, GAINS, 1, torque_noise=0.0)
     acted, asked = recording.tau_motor[1:], recording.command[:-1]
     assert rms(asked - acted) > 0.1 * rms(acted)
@@ -96,8 +95,7 @@ def test_torques_that_acted_follow_from_commands_where_drives_have_effects(name)
 @pytest.mark.parametrize('kind', ['command', 'tau_motor'])
 def test_a_torque_that_was_not_recorded_is_the_last_one(kind):
     """A drive of 1.3 times the torque asked for gives that of the last command in a gap."""
-    drive = replace(axis(rigid=True), effects=(
-        EffectSpec(name='torque_gain', joint=JOINT, values=(0.3,)),))
+    drive = affected(axis(rigid=True), JOINT, 'torque_gain', 0.3)
     torque, none = 1.0 + np.arange(400.0)[:, None], np.full((400, 1), np.nan)
     torque[200:203] = np.nan
     recording = Recording(joints=(JOINT,), time=2e-3 * np.arange(400), source='here',
@@ -117,9 +115,8 @@ def test_errors_of_encoders_are_taken_off_the_readings():
     motor = q + 0.1
     recording = replace(base, q_link=(q + off)[:, None],
                         q_motor=(np.sin(2.0 * (time - late)) + 0.1)[:, None])
-    robot = replace(axis(), effects=(
-        EffectSpec(name='encoder_skew', joint=JOINT, values=(late,)),
-        EffectSpec(name='link_encoder_eccentricity', joint=JOINT, values=(0.02, 0.3))))
+    robot = replace(axis(), effects=(effect_on(JOINT, 'encoder_skew', late),
+                                     effect_on(JOINT, 'link_encoder_eccentricity', 0.02, 0.3)))
     found = cleared(recording, believed_model(robot))
     assert np.abs(found.q_motor[:, 0] - motor)[50:-50].max() < 1e-4
     assert np.abs(found.q_link[:, 0] - q)[50:-50].max() < 5e-4
@@ -132,8 +129,7 @@ def test_a_late_encoder_is_cleared_where_its_motor_is_quick():
     motor = 0.1 * np.sin(speed * base.time)
     recording = replace(base, q_link=motor[:, None],
                         q_motor=0.1 * np.sin(speed * (base.time - late))[:, None])
-    robot = replace(axis(), effects=(
-        EffectSpec(name='encoder_skew', joint=JOINT, values=(late,)),))
+    robot = affected(axis(), JOINT, 'encoder_skew', late)
     found = cleared(recording, believed_model(robot))
     assert np.abs(found.q_motor[:, 0] - motor)[50:-50].max() < 0.004 * 0.1
     assert found.q_link == pytest.approx(recording.q_link, abs=1e-12)
@@ -145,7 +141,7 @@ def test_a_late_encoder_is_cleared_where_its_motor_is_quick():
     ('base_flexibility', (5.0, 1.0, 0.05))])
 def test_an_effect_that_is_indistinguishable_is_refused_by_name(name, values):
     """What changes the friction itself would be counted twice; with force it is left out."""
-    robot = replace(axis(), effects=(EffectSpec(name=name, joint=JOINT, values=values),))
+    robot = affected(axis(), JOINT, name, *values)
     with pytest.raises(IdentificationError, match=f'effects.{JOINT}.{name}.* take it out'):
         believed_model(robot)
     with pytest.warns(UserWarning, match='left out'):
@@ -186,7 +182,7 @@ def test_what_one_joint_lacks_does_not_disturb_another_taken_alone(robot, gains)
     """A spring that loses energy at joint 2: innovations of joint 1 grow if both move."""
     time = np.arange(6000) * 2e-3
     reference = draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
-    lacking = EffectSpec(name='spring_hysteresis', joint=robot.joints[1], values=(0.01, 0.002))
+    lacking = effect_on(robot.joints[1], 'spring_hysteresis', 0.01, 0.002)
     growth = {alone: np.divide(*(
         innovations(driven(robot, robot, gains, reference, time, *effects), robot, alone)
         for effects in ((lacking,), ()))) for alone in (False, True)}

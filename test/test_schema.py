@@ -6,11 +6,11 @@ from pathlib import Path
 import re
 import warnings
 
+from core_runs import effect_on
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.params.gains import COMPENSATIONS
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema import files
 from gms_flex_control.schema.keys import controller_keys
 import numpy as np
@@ -96,9 +96,8 @@ def test_a_saved_robot_is_read_back_as_it_was(robot, tmp_path):
                   mass=rng.uniform(0.1, 1.0, 2), offset=rng.uniform(-2.0, 2.0, 2))
     friction = replace(robot.friction, forward=replace(
         robot.friction.forward, viscous=rng.uniform(0.0, 0.1, 2)))
-    effects = (EffectSpec(name='backlash', joint='joint2', values=(0.1 / 3,)),
-               EffectSpec(name='torque_ripple', joint='joint1', values=(0.01, 12.0, -0.3)),
-               EffectSpec(name='gravity_tilt', joint='arm', values=(0.01, 1.0)))
+    effects = (effect_on('joint2', 'backlash', 0.1 / 3), effect_on(
+        'joint1', 'torque_ripple', 0.01, 12.0, -0.3), effect_on('arm', 'gravity_tilt', 0.01, 1.0))
     before = replace(robot, motors=('', 'joint2_motor'), arm=arm, friction=friction,
                      effects=effects)
     files.save_robot(before, tmp_path / 'saved.yaml', comment=files.wrapped(

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ElementTree
 
 from bench.chain_matrices import matrices
 import core_runs
+from core_runs import affected, effect_on
 from gms_flex_control import load_robot, read_plan, records, save_robot
 from gms_flex_control.cli.main import main
 from gms_flex_control.discrepancy.nuisance import nuisances_of, tuned, with_nuisances
@@ -16,7 +17,6 @@ from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.table import with_changes
 from gms_flex_control.errors import ConfigError, ParameterError, TrajectoryError
 from gms_flex_control.file_io import robot_file
-from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import load_robot_to_identify
 from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
@@ -279,8 +279,7 @@ def test_a_robot_file_that_contradicts_its_urdf_is_refused(old, new, sentence, t
         load_robot(tmp_path / 'robot.yaml')
 
 
-@pytest.mark.parametrize('effects', [(), (EffectSpec(
-    name='link_inertia_error', joint='joint4', values=(0.3,)),)])
+@pytest.mark.parametrize('effects', [(), (effect_on('joint4', 'link_inertia_error', 0.3),)])
 def test_what_a_search_retunes_of_the_links_is_what_is_written(effects, tmp_path):
     robot = replace(load_robot(ARMS['light_arm']), effects=effects)
     base = plant.constants_of(robot)
@@ -331,8 +330,7 @@ def test_what_does_not_know_such_an_arm_says_so(tmp_path, capsys):
 
 def hidden(robot, name, *values, joint='arm'):
     """Return a robot with an effect put into its parameters."""
-    return with_changes(replace(robot, effects=(EffectSpec(
-        name=name, joint=joint, values=values),)))
+    return with_changes(affected(robot, joint, name, *values))
 
 
 @pytest.mark.parametrize('tip', ['', 'tool'])
@@ -379,8 +377,7 @@ def test_a_motor_carried_by_a_link_is_coupled_by_the_cosine_of_both_axes(axis, c
     friction = robot.friction.of_joints([0, 1])
     coupling, motor = 0.05, arm.motor_inertia[1]
     pair = replace(robot, joints=('j1', 'j2'), motors=('m1', 'm2'), arm=arm, friction=friction,
-                   effects=(EffectSpec(name='motor_inertia_coupling', joint='j2',
-                                       values=(coupling,)),))
+                   effects=(effect_on('j2', 'motor_inertia_coupling', coupling),))
     state, work = plant.init(pair), plant.workspace(2)
     command = np.array([0.0, 3.0])
     for _ in range(30):  # the accelerations of the substep before converge

@@ -3,14 +3,13 @@
 
 from dataclasses import dataclass, replace
 
-from core_runs import push_plant
+from core_runs import effect_on, push_plant
 from gms_flex_control import friction as gms
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.coordinates import Coordinates, friction_record, MOST_BLOCKS
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import (
-    EffectSpec,
     EncoderParams,
     FrictionParams,
     RobotParams,
@@ -117,8 +116,7 @@ class Case:
     def driven(self, substeps=1):
         """Return angles and rates (T, n) of the plant under the torque, from rest at zero."""
         names = tuple(f'joint{j + 1}' for j in range(self.n))
-        effects = tuple(EffectSpec(name='friction_drift', joint=name, values=(
-            self.drift, DRIFTING)) for name in names)
+        effects = tuple(effect_on(name, 'friction_drift', self.drift, DRIFTING) for name in names)
         robot = RobotParams(joints=names, motors=('',) * self.n, arm=self.arm, effects=effects,
                             friction=params_of(self.friction()), encoder=EncoderParams())
         theta, _ = self.coordinates.unpack(self.free(self.joint))

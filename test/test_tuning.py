@@ -6,14 +6,14 @@ import json
 import math
 import re
 
-from core_runs import single_axis
+from core_runs import effect_on, single_axis
 from gms_flex_control.cli.main import main
 from gms_flex_control.control.cascade import SteppedController
 from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.hardware.limits import limited, violation
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import EffectSpec, EncoderParams, FrictionParams, StribeckParams
+from gms_flex_control.params.robot import EncoderParams, FrictionParams, StribeckParams
 from gms_flex_control.schema import files
 from gms_flex_control.schema.build import limits_from_values, robot_values
 from gms_flex_control.simulation import loop as closed_loop
@@ -104,7 +104,7 @@ def test_encoder_noise_causes_the_torque_that_is_reported(flexible):
 
 
 def test_a_constant_torque_moves_the_link_as_far_as_is_reported(flexible):
-    push = EffectSpec(name='constant_link_torque', joint='axis', values=(0.02,))
+    push = effect_on('axis', 'constant_link_torque', 0.02)
     run = closed_loop.run(replace(flexible, effects=(push,)), flexible, gains_of(),
                           builders.hold(STILL), duration=6.0)
     reported = compliance(flexible, flexible, gains_of(), Timing(2e-3, 0.0), STILL)
