@@ -35,15 +35,10 @@ WITHOUT_TABLE = {'urdf', 'view', 'export', 'coverage', 'learn', 'real-machines',
                  'hidden-arms', 'base-parameters', 'growth', 'real-arm', 'paper-method'}
 
 
-def tool_of(verb):
-    """Return the tool that has a verb, gms_flex first, and what starts it."""
-    return (tool, 'gms_flex') if verb in VERBS else (bench, bench.PROG)
-
-
 @pytest.mark.parametrize('verb', (*VERBS, *OF_BENCH))
 def test_the_help_of_a_verb_has_examples_that_parse(verb, capsys):
     """An option that it does not have is bad input."""
-    its_tool, prog = tool_of(verb)
+    its_tool, prog = (tool, 'gms_flex') if verb in VERBS else (bench, bench.PROG)
     parser = its_tool.build_parser().verbs[verb]
     text = parser.format_help()
     assert parser.description

@@ -43,6 +43,13 @@ OPTIONS = [
     ('record --topics 1x --out {dir}', "'1x': topic name must not have a token that starts with"),
     *((f'{verb} {{missing}} --robot {{robot}} --out {{bag}}', '{bag}: is a bag; name another')
       for verb in ('identify', 'discrepancy')),
+    *((f'identify {{bag}} --out {{dir}} {words}', sentence) for words, sentence in (
+        ('--robot {arm}', "lacks joint 'joint3'"), ('--robot absent.yaml', 'cannot be read'),
+        ('--robot {robot} --blocks 4 0', '--blocks 0: give numbers from 1 to 8'),
+        ('--robot {robot} --blocks 4 99', '--blocks 99: give numbers from 1 to 8'),
+        ('--robot {robot} --joints joint9', '--joints joint9: the robot has joint1, joint2'),
+        ('--robot {robot} --joints joint2', 'act on each other'),
+        ('--robot {robot} --out {file}', 'is a file; name a folder'))),
     ('analyse {bag} --out {bag}', '--out {bag}: is a bag; name another folder for what comes of'),
     ('tune --out {bag}', '--out {bag}: is a bag'),
     ('urdf --ros2-control=', "--ros2-control '': give one word, such as my_hardware/MySystem"),
@@ -141,6 +148,7 @@ def printed_of(words, folder, capsys):
     assert printed == '' and reported.startswith(f'{start} {verb}: ')
     assert reported.count('\n') == 1 and 'Errno' not in reported
     assert not places['dir'].exists() and list(places['folder'].iterdir()) == []
+    assert places['file'].read_text() == 'mine'
     return reported, places
 
 

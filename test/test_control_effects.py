@@ -23,11 +23,6 @@ def spec(name, joint='joint2', **values):
     return effect_on(joint, name, *find(name).values(values, name))
 
 
-def rms(run):
-    """Return the tracking error of each link [rad]."""
-    return np.sqrt(np.mean((run.true[:, 0] - run.reference[:, 0]) ** 2, axis=0))
-
-
 @pytest.mark.parametrize('effects', [(), (
     spec('load_friction', ratio=0.3, reach=1e-3),
     spec('torque_ripple', amplitude=0.01, order=12.0, phase=0.3))])
@@ -144,6 +139,6 @@ def test_effects_that_are_parameters_become_parameters(robot):
     (spec('viscous_error', slope=0.15), 1, 0.7)])
 def test_the_links_follow_better_once_the_effect_is_known(effect, joint, at_most, robot, gains):
     true = replace(robot, effects=(effect,))
-    before, after = (rms(loop.run(true, model, gains, MOTION, duration=8.3))
-                     for model in (robot, true))
+    runs = [loop.run(true, model, gains, MOTION, duration=8.3) for model in (robot, true)]
+    before, after = (np.linalg.norm(run.true[:, 0] - run.reference[:, 0], axis=0) for run in runs)
     assert after[joint] < at_most * before[joint]

@@ -28,10 +28,11 @@ TYPES = {'/joint_states': cdr.JOINT_STATE,
 PERIOD = 2_000_000
 
 
-def write_bag(path, states, commands=(), references=()):
-    """Write messages given as (receive time, bytes) on the three topics."""
-    with BagWriter(path, TYPES) as writer:
-        for topic, rows in zip(TYPES, (states, commands, references), strict=True):
+def write_bag(path, states, commands=(), references=(), phases=None):
+    """Write messages given as (receive time, bytes) on the three topics, and phases on theirs."""
+    types = TYPES if phases is None else TYPES | {cdr.PHASE_TOPIC: cdr.MULTI_ARRAY}
+    with BagWriter(path, types) as writer:
+        for topic, rows in zip(types, (states, commands, references, phases), strict=False):
             for time, data in rows:
                 writer.write(topic, time, data)
     return path
@@ -379,19 +380,7 @@ def test_a_bag_split_over_files_is_read_in_their_order(tmp_path):
     np.testing.assert_array_equal(recording.q_link[:, 0], 9700.0 + np.arange(110))
 
 
-STATES, COMMANDS = '/joint_states', '/effort_controller/commands'
-
-
-def written(path, messages, kind=cdr.MULTI_ARRAY):
-    """Write joint states from 5 s on and messages of the phase topic."""
-    with BagWriter(path, {STATES: cdr.JOINT_STATE, cdr.PHASE_TOPIC: kind}) as writer:
-        for k in range(5):
-            stamp = 5_000_000_000 + k * 2_000_000
-            writer.write(STATES, 10 + k, cdr.pack_joint_states(
-                ('a',), [stamp], [[0.0]])[0])
-        for data in messages:
-            writer.write(cdr.PHASE_TOPIC, 20, data)
-    return path
+STATES, COMMANDS, _ = TYPES
 
 
 def packed(stamp, *rest):
@@ -418,7 +407,8 @@ def test_phases_are_read_as_they_were_written_beside_a_recording(tmp_path):
     packed('soon', 'idle', '', '', 0.0),
     packed(1, 'idle', '', '', 0.0)[:30]])
 def test_a_message_that_is_no_phase_is_named(message, tmp_path):
-    bag = written(tmp_path / 'bag', [packed(1, 'idle', '', '', 0.0), message])
+    bag = write_bag(tmp_path / 'bag', GOOD, phases=[
+        (20, packed(1, 'idle', '', '', 0.0)), (20, message)])
     with pytest.raises(BagError, match="topic '/identification/phase' message 1 "):
         read_experiment(bag)
 

@@ -154,20 +154,27 @@ def test_torque_that_was_recorded_late_or_early_is_named(case, samples):
         assert np.all(result.gap.free_after < 0.6 * result.gap.free_before)
 
 
-@pytest.mark.parametrize('is_measured', [True, False])
-def test_torque_of_a_single_axis_that_was_recorded_late_is_named(is_measured):
-    """Measured or commanded, no drive is early: nothing else may stand for it."""
+def axis_result(channel, recorded):
+    """Return what is said of a rigid axis whose torque was recorded as a function of the true."""
     robot, time = axis(rigid=True), 2e-3 * np.arange(10_001)
     command = sum(size * np.sin(2.0 * np.pi * hertz * time[:-1])
                   for size, hertz in ((0.3, 0.7), (0.3, 1.9), (0.15, 4.3)))
     angle = simulate_open(robot, command[:, None])[:, 0]
-    # a sample late: measured is that of the sample that ended, commanded that which begins
-    late = np.append(np.zeros(2), command[:-1]) if is_measured else np.append(0.0, command)
-    result = find_discrepancy([Recording(
-        joints=robot.joints, time=time, q_link=angle + 1e-6 * np.random.default_rng(
-            4).standard_normal(angle.shape), source='late',
-        **{'tau_motor' if is_measured else 'command': late[:, None]})], robot,
-        SearchOptions(most=1))
+    noise = 1e-6 * np.random.default_rng(4).standard_normal(angle.shape)
+    return find_discrepancy([Recording(
+        joints=robot.joints, time=time, q_link=angle + noise, source='an axis',
+        **{channel: recorded(command)[:, None]})], robot, SearchOptions(most=1))
+
+
+@pytest.mark.parametrize(('channel', 'lost'), [('tau_motor', 2), ('command', 1)])
+def test_torque_of_a_single_axis_that_was_recorded_late_is_named(channel, lost):
+    """
+    Measured or commanded, no drive is early: nothing else may stand for it.
+
+    A sample late: measured is that of the sample that ended, commanded that which begins.
+    """
+    result = axis_result(channel, lambda command: np.append(
+        np.zeros(lost), command[:len(command) + 1 - lost]))
     first = result.findings[0]
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
     assert first.values[0].value == pytest.approx(-2e-3, rel=0.05)
@@ -176,15 +183,8 @@ def test_torque_of_a_single_axis_that_was_recorded_late_is_named(is_measured):
 @pytest.mark.parametrize('samples', [1, 2])
 def test_a_drive_that_reports_the_torque_which_begins_lacks_nothing(samples):
     """One that is stamped earlier still does."""
-    robot, time = axis(rigid=True), 2e-3 * np.arange(10_001)
-    command = sum(size * np.sin(2.0 * np.pi * hertz * time[:-1])
-                  for size, hertz in ((0.3, 0.7), (0.3, 1.9), (0.15, 4.3)))
-    angle = simulate_open(robot, command[:, None])[:, 0]
-    result = find_discrepancy([Recording(
-        joints=robot.joints, time=time, q_link=angle + 1e-6 * np.random.default_rng(
-            4).standard_normal(angle.shape), source='early',
-        tau_motor=np.append(command[samples - 1:], np.zeros(samples))[:, None])], robot,
-        SearchOptions(most=1))
+    result = axis_result('tau_motor', lambda command: np.append(
+        command[samples - 1:], np.zeros(samples)))
     first, = result.minor if samples == 1 else result.findings
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
     assert first.values[0].value == pytest.approx(2e-3 * samples, rel=0.05)

@@ -43,17 +43,6 @@ def test_the_link_is_where_its_encoder_saw_it(plant_name):
     assert np.all(motors > 4.0 * off_recorded(case, computed.q_link))  # it is not just the motor's
 
 
-def off_without_and_with_the_effect(case, error):
-    """Return an error (n,) of the link of the effect, of models without and with it."""
-    motion = motion_of(blind(case.recording), case.truth.robot)
-    joint, off = case.truth.robot.joints.index(case.truth.effects[0].joint), []
-    for robot in (replace(case.truth.robot, effects=()), case.truth.robot):
-        constants = plant.constants_of(robot)
-        states, _ = motion_as_modelled(motion, constants, drive_torque(motion, constants))
-        off.append(error(motion, states)[joint])
-    return off
-
-
 @pytest.mark.parametrize('effect', ['spring_damping', 'spring_hysteresis', 'backlash'])
 def test_an_effect_of_no_size_changes_nothing(effect):
     """What is computed of a link must not depend on how many steps it is computed in."""
@@ -69,9 +58,13 @@ def test_an_effect_of_no_size_changes_nothing(effect):
 
 def test_a_spring_that_stiffens_puts_the_link_where_its_encoder_saw_it():
     case = make_case('single', 1, effect='spring_cubic', plant='stiff', duration=20.0)
-    seen = motion_of(case.recording, case.truth.robot)
-    off = off_without_and_with_the_effect(case, lambda _, states: np.std(
-        (states - seen.states)[200:-200, 0], axis=0))
+    true = case.truth.robot
+    seen, motion = (motion_of(one, true) for one in (case.recording, blind(case.recording)))
+    joint, off = true.joints.index(true.effects[0].joint), []
+    for robot in (replace(true, effects=()), true):
+        constants = plant.constants_of(robot)
+        states, _ = motion_as_modelled(motion, constants, drive_torque(motion, constants))
+        off.append(np.std((states - seen.states)[200:-200, 0, joint]))
     assert off[1] < 0.2 * off[0]
 
 

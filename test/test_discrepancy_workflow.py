@@ -33,13 +33,6 @@ CASES = {
 DOUBT = 0.045
 
 
-def outcome(kind, seed, most=2, **options):
-    """Return the case, what the workflow says of it, and all that was found in order."""
-    case = make_case(kind, seed, **{'duration': SHORT, **options})
-    result = find_discrepancy([case.recording], case.nominal, SearchOptions(most=most))
-    return case, result, (*result.findings, *result.minor)
-
-
 @pytest.fixture(scope='module')
 def named():
     """Return a case with a quarter of a stiffness missing, and what is said of it."""
@@ -81,8 +74,10 @@ def test_friction_of_the_same_recording_is_identified_anew_beside_what_is_missin
 def test_no_more_is_named_than_is_hidden(name):
     """Where something is left that the catalogue lacks, equation and joint are reported."""
     kind, seed, options, verdict = CASES[name]
-    case, result, found = outcome(kind, seed, most=3 if kind == 'double' else 2, **options)
-    truth = case.truth
+    case = make_case(kind, seed, **{'duration': SHORT, **options})
+    result = find_discrepancy([case.recording], case.nominal,
+                              SearchOptions(most=3 if kind == 'double' else 2))
+    truth, found = case.truth, (*result.findings, *result.minor)
     assert result.verdict == verdict, result.words
     assert {(one.effect, one.joint) for one in found[:2]} == {
         spec.key for spec in truth.effects}, result.words

@@ -29,10 +29,6 @@ def described(heavier=1.0, **uncertainty):
                    uncertainty={(kind, 'swing'): sd for kind, sd in uncertainty.items()})
 
 
-def moment(arm):
-    return arm.mass[0] * arm.com[0] * np.hypot(*arm.gravity)
-
-
 @pytest.mark.parametrize('heavier', [0.96, 1.0, 1.04])
 def test_friction_is_that_of_the_joint_where_a_link_weighs_less_than_described(heavier):
     """Gravity that is 4 % off is a third of this friction: relied on, it makes that 55 % wrong."""
@@ -44,7 +40,8 @@ def test_friction_is_that_of_the_joint_where_a_link_weighs_less_than_described(h
 
 def test_recordings_show_the_arm_that_is_hardly_known():
     found = believed([pendulum()], described(1.3, gravity=0.3, inertia=0.3))
-    assert moment(found.arm) == pytest.approx(PULL, rel=5e-3)
+    pull = found.arm.mass[0] * found.arm.com[0] * np.hypot(*found.arm.gravity)
+    assert pull == pytest.approx(PULL, rel=5e-3)
 
 
 def test_a_soft_block_that_swings_along_with_a_sinusoid_makes_no_link_lighter():

@@ -43,11 +43,6 @@ def packed(kind):
                                          extra=extra)
 
 
-def blocks_of(theta):
-    """Return stiffness and weight (2, MOST_BLOCKS)."""
-    return theta[BLOCKS:BLOCKS + 2 * MOST_BLOCKS].reshape(2, MOST_BLOCKS)
-
-
 @pytest.mark.parametrize('kind', KINDS)
 def test_unpacked_parameters_are_those_that_were_packed(kind):
     coordinates, free = packed(kind)
@@ -57,7 +52,7 @@ def test_unpacked_parameters_are_those_that_were_packed(kind):
         np.testing.assert_allclose(theta[4 * k:4 * k + 4], [STEADY[name][k] for name in names],
                                    rtol=1e-13)
     assert theta[8] == pytest.approx(STEADY['attraction'])
-    stiffness, weight = blocks_of(theta)
+    stiffness, weight = theta[BLOCKS:BLOCKS + 2 * MOST_BLOCKS].reshape(2, MOST_BLOCKS)
     expected = WEIGHTS if coordinates.free_weights else np.full(4, 0.25)
     np.testing.assert_allclose(weight[:4], expected, rtol=1e-13)
     np.testing.assert_allclose(stiffness[:4], np.multiply(expected, 0.106) / YIELDS, rtol=1e-13)

@@ -110,20 +110,14 @@ def wakes(thread):
                          Path(f'/proc/{thread}/status').read_text())[1])
 
 
-def report_after(lab, figure):
-    """Return the figures of the plant (dict of int) from the first report that has a figure."""
-    values = lab.until(lambda: next((
-        values for one in lab.reports
-        if figure in (values := {item.key: item.value for item in one.values})), None))
-    return {key: int(value) for key, value in values.items() if value.isdigit()}
-
-
 @pytest.mark.flaky(reruns=5)  # a machine that stands still for 30 ms stops the torque
 def test_a_bridge_in_one_process_moves_a_robot_and_leaves_zero(tmp_path):
     with bridge_lab(tmp_path, composed=True) as lab:
         move(lab)
-        figures = report_after(lab, 'efforts sent ahead')
-        assert figures['efforts sent ahead'] > 0 == figures['efforts corrected']
+        figures = lab.until(lambda: next((
+            values for one in lab.reports if 'efforts sent ahead' in (
+                values := {item.key: item.value for item in one.values})), None))
+        assert int(figures['efforts sent ahead']) > 0 == int(figures['efforts corrected'])
         assert lab.plant.signal(TERM) == 0
         lab.until(lambda: not any(lab.efforts.last))
 

@@ -93,6 +93,17 @@ def test_every_bad_number_is_refused_with_joint_and_index(bad):
             messages.read_reference(reference, 2)
 
 
+@pytest.mark.parametrize(('names', 'position', 'velocity', 'reason'), [
+    (wire.NAMES[:3], [0.1] * 3, None, "lack 'joint2_motor'"),
+    ([*wire.NAMES, 'joint1'], [0.1] * 5, None, "name 'joint1' more than once"),
+    (wire.NAMES, [0.1] * 3, None, 'have 4 names and 3 positions'),
+    (wire.NAMES, [0.1] * 4, [0.0], '1 velocities')])
+def test_the_reason_of_a_refused_state_names_the_culprit(names, position, velocity, reason):
+    reader = messages.JointStateReader(wire.JOINTS, wire.NAMES[2:])
+    with pytest.raises(messages.RefusedError, match=reason):
+        reader.read(wire.joint_state(0, position, names=names, velocity=velocity), None)
+
+
 def test_a_million_names_make_a_short_sentence():
     with pytest.raises(messages.RefusedError) as refused:
         messages.order_of(['joint1'], [f'x{k}' for k in range(10**6)])

@@ -125,12 +125,9 @@ def test_a_gain_changes_and_a_whole_number_is_taken_for_a_double(loop):
 
 @pytest.mark.parametrize('node, name, value, reason', [
     (CONTROLLER, KD, math.nan, 'must be finite, got nan'),
-    (CONTROLLER, KD, math.inf, 'must be finite, got inf'),
     (CONTROLLER, KD, -0.1, 'must be from 0 to 1e+09 N m s/rad, got -0.1'),
-    (CONTROLLER, KD, 2e9, 'must be from 0 to 1e+09 N m s/rad, got 2e+09'),
     (CONTROLLER, KD, 'stiff', 'type'),
     (CONTROLLER, KD, None, 'cannot be undeclared'),
-    (CONTROLLER, 'gains__joint1__filter_bandwidth', 0, 'from 0.001 to 100000 rad/s, got 0'),
     (CONTROLLER, 'compensation', 'gsm', "disturbance_observer, got 'gsm'"),
     (CONTROLLER, 'arm__joint1__mass', 2.0, 'start it anew with -p arm.joint1.mass:=2.0'),
     (CONTROLLER, 'mode', 'lockstep', 'mode is realtime as long as the node runs'),
@@ -142,7 +139,6 @@ def test_a_gain_changes_and_a_whole_number_is_taken_for_a_double(loop):
     (PLANT, 'rate', 100.0, 'start it anew with -p rate:=100.0'),
     (TRAJECTORY, 'trajectory__type', 'sinus', "did you mean 'sinusoid'"),
     (TRAJECTORY, 'trajectory__joint1__period', 0.0, 'from 0.001 to 10000 s, got 0'),
-    (TRAJECTORY, 'trajectory__joint1__amplitude', math.nan, 'must be finite, got nan'),
     (TRAJECTORY, 'trajectory__repeats', 0, 'range')])
 def test_a_bad_value_is_refused_with_a_reason_and_the_old_one_stays(loop, node, name, value,
                                                                     reason):
@@ -180,16 +176,11 @@ def test_a_group_is_taken_whole_or_not_at_all(loop):
     assert loop.get(TRAJECTORY, 'trajectory.type') == 'sinusoid'
 
 
-def described(loop, node, *names):
-    """Return the descriptors of parameters."""
-    kind = services.DescribeParameters
-    return loop.call(kind, f'{node}/describe_parameters', kind.Request(names=names)).descriptors
-
-
 def test_descriptors_have_meaning_unit_and_range(loop):
-    gain, mode, mass, every = described(
-        loop, CONTROLLER, 'gains.joint1.kd_link', 'compensation', 'arm.joint1.mass',
-        'state_every')
+    kind = services.DescribeParameters
+    gain, mode, mass, every = loop.call(kind, f'{CONTROLLER}/describe_parameters', kind.Request(
+        names=['gains.joint1.kd_link', 'compensation', 'arm.joint1.mass', 'state_every']
+    )).descriptors
     assert gain.description == 'K_D1 of the link law [N m s/rad]' and not gain.read_only
     assert gain.additional_constraints == 'from 0 to 1e+09' and not gain.floating_point_range
     assert mode.additional_constraints == f"one of {', '.join(COMPENSATIONS)}"

@@ -5,15 +5,7 @@ from itertools import pairwise
 import math
 import time
 
-from node_harness import (
-    array_message,
-    Float64MultiArray,
-    joint_state,
-    Lab,
-    NAMES,
-    PATIENCE,
-    stamp_of,
-)
+from node_harness import array_message, Float64MultiArray, joint_state, Lab, PATIENCE, stamp_of
 import pytest
 
 PERIOD = 2_000_000   # [ns]
@@ -81,23 +73,6 @@ def test_names_are_mapped_whatever_their_order(alone):
     assert all(abs(torque) > 0.01 for torque in first.data)
     reference = next(one for one in alone.references if stamp_of(one) == alone.stamp)
     assert list(reference.data[:2]) == [0.1, 0.2]
-
-
-WRONG_STATES = [
-    (NAMES[:3], POSITION[:3], None, "lack 'joint2_motor'"),
-    ([*NAMES, 'joint1'], (*POSITION, 0.1), None, "name 'joint1' more than once"),
-    (NAMES, POSITION[:3], None, 'have 4 names and 3 positions'),
-    (NAMES, POSITION, (0.0,), '1 velocities'),
-    (NAMES, POSITION, (0.0, 0.0, 0.0, -INF), "velocity -inf for 'joint2_motor'")]
-
-
-@pytest.mark.parametrize('names, position, velocity, reason', WRONG_STATES)
-def test_the_reason_of_a_refused_state_names_the_culprit(names, position, velocity, reason):
-    messages = pytest.importorskip('gms_flex_control.nodes.messages')
-    reader = messages.JointStateReader(NAMES[:2], NAMES[2:])
-    state = joint_state(0, position, names=names, velocity=velocity)
-    with pytest.raises(messages.RefusedError, match=reason):
-        reader.read(state, None)  # nothing is written
 
 
 @pytest.mark.parametrize('label', ['stamp:', 'stamp:²', 'stamp:' + 5000 * '9', 'stamp:-7'])

@@ -57,14 +57,10 @@ def test_a_signal_at_any_moment_of_the_start_prints_no_traceback(tmp_path):
     with Lab(tmp_path) as lab:
         for k, name in enumerate([*NODES, 'loop_node']):
             node = lab.start(name)
-            lab.until(lambda node=node: imports(node.process.pid))
+            maps = Path(f'/proc/{node.process.pid}/maps')  # past Python itself: it loads numpy
+            lab.until(lambda maps=maps: '_multiarray_umath' in maps.read_text())
             time.sleep(0.05 * k)
             assert node.signal(INT) == 0 and 'rror' not in node.printed(), node.printed()
-
-
-def imports(pid):
-    """Return whether a process is past the start of Python itself: it has loaded numpy."""
-    return '_multiarray_umath' in Path(f'/proc/{pid}/maps').read_text()
 
 
 def test_the_first_start_says_why_it_takes_long_and_can_be_ended(tmp_path):

@@ -1,11 +1,9 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Page, pictures and terminal table of an identification."""
 
-
 from dataclasses import replace
 import json
 import re
-import warnings
 
 from gms_flex_control.design.determination import missing_of
 from gms_flex_control.identification.outcome import estimated, FrictionMap, Interval, OtherJoints
@@ -18,14 +16,9 @@ from identified import ERRORS, identification
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.filterwarnings('error')
+
 EVIL = '<b>$_/../\\x'
-
-
-@pytest.fixture(autouse=True)
-def _no_warnings():
-    with warnings.catch_warnings():
-        warnings.simplefilter('error')
-        yield
 
 
 def written(made, folder, **options):

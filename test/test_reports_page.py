@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The HTML report: self-contained, escaped, its data equal to what was put in."""
 
-
 import json
 import re
 

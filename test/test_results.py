@@ -74,13 +74,10 @@ def test_the_example_of_the_documents_finds_the_stiffness_and_the_friction(page)
     np.testing.assert_allclose(np.array(friction.strip('[]').split(), dtype=float), found.coulomb,
                                rtol=1e-6)
     speed = np.array([0.8, 1.6])  # a sinusoid determines friction at speed, no Coulomb level
-    of_found, of_true = (stribeck_level(speed, one) + speed * one.viscous for one in (found, true))
+    of_found, of_true = (  # Eq. (4), written anew
+        one.coulomb + (one.static - one.coulomb) * np.exp(-(speed / one.velocity) ** 2)
+        + speed * one.viscous for one in (found, true))
     np.testing.assert_allclose(of_found, of_true, rtol=0.15)
-
-
-def stribeck_level(speed, side):
-    """Return Eq. (4), written anew."""
-    return side.coulomb + (side.static - side.coulomb) * np.exp(-(speed / side.velocity) ** 2)
 
 
 def test_the_tutorial_names_the_play_of_the_example(tutorial):

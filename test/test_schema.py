@@ -49,19 +49,18 @@ def test_the_default_robot_is_the_papers(robot):
     """Tables 1 to 3; the arm is assumed and says so in its file."""
     assert robot.joints == ('joint1', 'joint2')
     assert robot.motors == ('joint1_motor', 'joint2_motor')
-    forward, backward = robot.friction.forward, robot.friction.backward
-    np.testing.assert_array_equal(forward.static, [0.10787, 0.10697])
-    np.testing.assert_array_equal(forward.coulomb, [0.09393, 0.09087])
-    np.testing.assert_array_equal(forward.velocity, [0.00846, 0.07819])
-    np.testing.assert_array_equal(forward.viscous, [0.06589, 0.00374])
-    np.testing.assert_array_equal(backward.static, [0.10433, 0.09470])
-    np.testing.assert_array_equal(backward.coulomb, [0.08997, 0.08363])
-    np.testing.assert_array_equal(backward.velocity, [0.00489, 0.05795])
-    np.testing.assert_array_equal(backward.viscous, [0.07410, 0.00530])
-    np.testing.assert_array_equal(robot.friction.stiffness[0],
-                                  [2.26, 5.93, 6.95, 64.24, 11.45, 111.41])
-    np.testing.assert_array_equal(robot.friction.stiffness[1],
-                                  [0.12, 16.08, 19.81, 75.86, 138.10, 150.58])
+    for side, name, printed in (
+            ('forward', 'static', [0.10787, 0.10697]),
+            ('forward', 'coulomb', [0.09393, 0.09087]),
+            ('forward', 'velocity', [0.00846, 0.07819]),
+            ('forward', 'viscous', [0.06589, 0.00374]),
+            ('backward', 'static', [0.10433, 0.09470]),
+            ('backward', 'coulomb', [0.08997, 0.08363]),
+            ('backward', 'velocity', [0.00489, 0.05795]),
+            ('backward', 'viscous', [0.07410, 0.00530])):
+        np.testing.assert_array_equal(getattr(getattr(robot.friction, side), name), printed)
+    np.testing.assert_array_equal(robot.friction.stiffness, [
+        [2.26, 5.93, 6.95, 64.24, 11.45, 111.41], [0.12, 16.08, 19.81, 75.86, 138.10, 150.58]])
     np.testing.assert_allclose(robot.friction.weight, 1 / 6, rtol=1e-15)
     np.testing.assert_array_equal(robot.friction.attraction, [1.5, 1.0])
     np.testing.assert_array_equal(robot.arm.gravity, [0.0, 0.0])
@@ -72,11 +71,9 @@ def test_the_default_robot_is_the_papers(robot):
 def test_the_default_gains_are_the_papers(gains):
     """Section 6; k_e is another one, as its file says."""
     assert gains.compensation == 'gms'
-    np.testing.assert_array_equal(gains.kd_link, [0.8, 0.8])
-    np.testing.assert_array_equal(gains.lambda_link, [3.0, 3.0])
-    np.testing.assert_array_equal(gains.kd_motor, [0.2, 0.22])
-    np.testing.assert_array_equal(gains.lambda_motor, [30.0, 40.0])
-    np.testing.assert_array_equal(gains.sign_slope, [50.0, 50.0])
+    for name, printed in {'kd_link': 0.8, 'lambda_link': 3.0, 'kd_motor': [0.2, 0.22],
+                          'lambda_motor': [30.0, 40.0], 'sign_slope': 50.0}.items():
+        np.testing.assert_array_equal(getattr(gains, name), printed)
 
 
 def assert_same(one, other):
@@ -181,18 +178,22 @@ WRONG = [
      'is not valid YAML (found duplicate key "mass"')]
 
 
+def refused(load, *given):
+    """Return the sentence that files are refused with."""
+    with pytest.raises((ConfigError, ParameterError)) as error:
+        load(*given)
+    return str(error.value)
+
+
 @pytest.mark.parametrize(('old', 'new', 'sentence'), WRONG)
 def test_what_is_wrong_in_a_robot_file_is_said_with_its_line(old, new, sentence, tmp_path):
     text = changed(old, new)
     path = written(tmp_path, text)
-    with pytest.raises((ConfigError, ParameterError)) as error:
-        files.load_robot(path)
-    message = str(error.value)
-    assert sentence in message
+    message = refused(files.load_robot, path)
+    assert sentence in message and '\n' not in message
     found = re.match(re.escape(str(path)) + r':(\d+): ', message)
     assert found, message
     assert abs(int(found[1]) - line_of(new.splitlines()[-1].rstrip(), text)) <= 1
-    assert '\n' not in message
 
 
 @pytest.mark.parametrize(('text', 'sentence'), [
@@ -229,10 +230,8 @@ def test_what_is_wrong_in_a_robot_file_is_said_with_its_line(old, new, sentence,
 ])
 def test_a_file_that_is_no_robot_is_refused_by_name(text, sentence, tmp_path):
     path = written(tmp_path, text)
-    with pytest.raises((ConfigError, ParameterError)) as error:
-        files.load_robot(path)
-    assert str(error.value).startswith(str(path))
-    assert sentence in str(error.value)
+    message = refused(files.load_robot, path)
+    assert message.startswith(str(path)) and sentence in message
 
 
 def test_friction_that_is_to_be_identified_need_not_be_stated(tmp_path, robot):
@@ -268,10 +267,8 @@ def test_a_file_that_cannot_be_read_is_named(place, tmp_path):
 ])
 def test_what_is_wrong_in_a_controller_file_is_said(robot, old, new, sentence, tmp_path):
     path = written(tmp_path, changed(old, new, CONTROLLER), 'controller.yaml')
-    with pytest.raises((ConfigError, ParameterError)) as error:
-        files.load_controller(path, robot)
-    assert str(error.value).startswith(str(path))
-    assert sentence in str(error.value) and str(error.value).count('lugre') <= 1
+    message = refused(files.load_controller, path, robot)
+    assert message.startswith(str(path)) and sentence in message and message.count('lugre') <= 1
 
 
 def test_reordered_joints_keep_their_values(robot, tmp_path):
@@ -323,6 +320,5 @@ def test_a_gain_of_some_modes_changes_those_that_its_description_names(gain, use
 def test_a_value_in_the_place_of_a_group_is_told_from_a_wrong_name(text, sentence, tmp_path):
     """With its own place, though another file has the group."""
     path = written(tmp_path, f'/**:\n  ros__parameters:\n    {text}\n')
-    with pytest.raises(ConfigError) as error:
-        files.load_robot([CONFIG / 'robot.yaml', path])
-    assert str(error.value).startswith(f'{path}:3: {sentence}')
+    message = refused(files.load_robot, [CONFIG / 'robot.yaml', path])
+    assert message.startswith(f'{path}:3: {sentence}')

@@ -8,18 +8,14 @@ import pytest
 from tutorial import is_as_documented, JUDGED, parts_of, place_of, ROOT, TUTORIALS
 
 
-def as_script(commands):
-    """Return a shell script that keeps what each command prints, and its exit code."""
-    return '\n'.join(f'{{ {command}\n}} > out{k} 2>&1; echo $? > code{k}'
-                     for k, (command, _) in enumerate(commands))
-
-
 @pytest.mark.parametrize('name', ['without_ros', 'with_a_bag'])
 def test_the_commands_print_what_the_tutorial_says(name, tmp_path):
     here, environment = place_of(tmp_path)
     commands = [one for _, block in parts_of(TUTORIALS / f'{name}.md') for one in block]
-    subprocess.run(['bash', '-c', as_script(commands)], cwd=here, env=environment, timeout=900,
-                   check=False, stdin=subprocess.DEVNULL)
+    script = '\n'.join(f'{{ {command}\n}} > out{k} 2>&1; echo $? > code{k}'
+                       for k, (command, _) in enumerate(commands))
+    subprocess.run(['bash', '-c', script], cwd=here, env=environment, timeout=900, check=False,
+                   stdin=subprocess.DEVNULL)
     for k, (command, expected) in enumerate(commands):
         printed = (here / f'out{k}').read_text()
         assert is_as_documented(printed, expected), (

@@ -162,20 +162,17 @@ def test_requests_reach_the_services_of_the_namespace(lab):
         return response
     lab.node.create_service(Trigger, '/left/plant/emergency_stop', stop)
     with ThreadPoolExecutor(1) as pool:  # this thread answers
-        asked = lab.until(lambda: answered(lab, pool, 'emergency_stop'))
+        def answered():
+            future = pool.submit(ask, lab, '/api/call', {'name': 'emergency_stop'})
+            lab.until(future.done)
+            return future.result() if future.result()[0] == 200 else None  # it is known by then
+        asked = lab.until(answered)
     assert asked == (200, {'success': True, 'message': 'FAULT: emergency stop by service'})
     status, answer = ask(lab, '/api/call', {'name': 'start'})
     assert status == 503 and answer['reason'] == (
         '/left/trajectory/start does not answer: is trajectory_node running?')
     status, answer = ask(lab, '/api/call', {'name': 'reboot'})
     assert status == 503 and answer['reason'].startswith('reboot cannot be asked for here, only')
-
-
-def answered(lab, pool, name):
-    """Return status and answer of a request once the service is known, None before."""
-    future = pool.submit(ask, lab, '/api/call', {'name': name})
-    lab.until(future.done)
-    return future.result() if future.result()[0] == 200 else None
 
 
 def test_without_a_controller_gains_are_a_sentence_and_the_end_is_clean(lab):
