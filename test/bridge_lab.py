@@ -7,15 +7,8 @@ import subprocess
 import sys
 import time
 
-from node_harness import (
-    CONFIG,
-    FILES,
-    Float64MultiArray,
-    JointState,
-    Lab,
-    Trigger,
-    write_parameters,
-)
+import node_harness
+from node_harness import CONFIG, Trigger
 import pytest
 from rclpy.qos import QoSProfile
 import ros2_control_robot as robot_process
@@ -59,9 +52,9 @@ def bridge_lab(folder, *, robot=True, mapping=MAPPING, plant=None, composed=Fals
     ``plant`` is the command of the bridge, if it is not the installed one; ``composed`` runs
     all three nodes in one process.
     """
-    mapping = write_parameters(Path(folder) / 'mapping.yaml', mapping)
-    with Lab(Path(folder)) as lab:
-        lab.files = [*FILES, CONFIG / 'bridge.yaml', mapping]
+    mapping = node_harness.write_parameters(Path(folder) / 'mapping.yaml', mapping)
+    with node_harness.Lab(Path(folder)) as lab:
+        lab.files = [*node_harness.FILES, CONFIG / 'bridge.yaml', mapping]
         # a busy machine stops our robot of Python for longer than any real one
         lab.given = {'compensation': 'none', 'bridge__state_timeout': 0.3, **parameters}
         lab.processes, lab.clients = [], {}
@@ -77,10 +70,10 @@ def bridge_lab(folder, *, robot=True, mapping=MAPPING, plant=None, composed=Fals
             lab.trajectory = lab.start('trajectory_node', **motion)
         lab.efforts, lab.reports = Efforts(), []
         lab.driven = Efforts()
-        lab.node.create_subscription(JointState, robot_process.STATES, lab.driven.driven,
-                                     QoSProfile(depth=100))
+        lab.node.create_subscription(node_harness.JointState, robot_process.STATES,
+                                     lab.driven.driven, QoSProfile(depth=100))
         lab.states = lab.hear('states')
-        lab.node.create_subscription(Float64MultiArray, EFFORTS, lab.efforts.append,
+        lab.node.create_subscription(node_harness.Float64MultiArray, EFFORTS, lab.efforts.append,
                                      QoSProfile(depth=100))
         lab.node.create_subscription(DiagnosticArray, '/diagnostics', lambda message: [
             lab.reports.append(one) for one in message.status if one.name == 'plant'],

@@ -7,17 +7,8 @@ from core_runs import padded
 from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import robot_file
 from gms_flex_control.friction import steady_friction
-from gms_flex_control.identification.outcome import (
-    BlockCandidate,
-    Estimate,
-    FrictionMap,
-    HeldOutErrors,
-    Identification,
-    Interval,
-    JointResult,
-    PreslidingLoop,
-    Trace,
-)
+from gms_flex_control.identification import outcome
+from gms_flex_control.identification.outcome import BlockCandidate
 from gms_flex_control.params.key import of_joints
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_robot
@@ -29,9 +20,9 @@ UNITS = {'static': 'N m', 'coulomb': 'N m', 'velocity': 'rad/s', 'viscous': 'N m
 FLAGGED = {'friction.joint2.stiffness[0]': (
     ('not identifiable', 'at bound'), 'slips only after 0.149 rad; presliding with larger '
     'amplitude would show it')}
-ERRORS = HeldOutErrors(torque_rms=0.004, relative=0.05, coulomb_viscous=0.12, free_run_rms=1.1e-3,
-                       free_run_coulomb_viscous=6.4e-3, horizon=0.5, innovation_rms=5e-5,
-                       noise_floor=0.001, repeatability=0.0035)
+ERRORS = outcome.HeldOutErrors(torque_rms=0.004, relative=0.05, coulomb_viscous=0.12,
+                               free_run_rms=1.1e-3, free_run_coulomb_viscous=6.4e-3, horizon=0.5,
+                               innovation_rms=5e-5, noise_floor=0.001, repeatability=0.0035)
 
 
 def identification(joints=2, **changes):
@@ -46,7 +37,7 @@ def identification(joints=2, **changes):
         'joints': tuple(joint_result(robot, truth, j) for j in range(joints)), 'holdouts': (),
         'duration': 412.5, 'period': 2e-3, 'warnings': ('3 samples were lost.',),
         'seconds': 21.7}
-    return Identification(**fields | changes)
+    return outcome.Identification(**fields | changes)
 
 
 def one_axis(robot):
@@ -65,10 +56,10 @@ def joint_result(robot, truth, j):
     torque = steady(truth, moving, j) + 2e-3 * rng.standard_normal(240)
     x = np.geomspace(1e-5, 0.1, 40)
     curve = presliding(robot, j, x)
-    return JointResult(
+    return outcome.JointResult(
         joint=robot.joints[j], side='motor' if robot.arm.rigid[j] else 'spring',
         estimates=tuple(estimates(robot, j)), curve=(x, curve, 0.97 * curve, 1.03 * curve),
-        friction_map=FrictionMap(moving, torque, rng.random(240) < 0.7),
+        friction_map=outcome.FrictionMap(moving, torque, rng.random(240) < 0.7),
         steady_velocity=velocity, steady_torque=steady(robot, velocity, j),
         loops=tuple(loop(truth, j, share) for share in (0.4, 0.8)),
         traces=(trace(robot, truth, j, rng),), held_out=ERRORS, warnings=(),
@@ -88,8 +79,8 @@ def estimates(robot, j):
                 continue
             full = f'{name}[{i}]' if array else name
             flags, note = FLAGGED.get(full, ((), ''))
-            yield Estimate(full, UNITS[name.split('.')[-1]], value,
-                           Interval(0.96 * value, 1.04 * value), flags, note)
+            yield outcome.Estimate(full, UNITS[name.split('.')[-1]], value,
+                                   outcome.Interval(0.96 * value, 1.04 * value), flags, note)
 
 
 def steady(robot, velocity, j):
@@ -113,12 +104,14 @@ def loop(truth, j, share):
     way = np.sign(np.gradient(x))
     torque = way * (2.0 * presliding(truth, j, 0.5 * (reach + way * x)) - presliding(
         truth, j, np.array([reach])))
-    return PreslidingLoop(x + 1e-5 * np.sin(np.arange(400)), torque, 1.03 * x, f'{share:g} F_s')
+    read = x + 1e-5 * np.sin(np.arange(400))
+    return outcome.PreslidingLoop(read, torque, 1.03 * x, f'{share:g} F_s')
 
 
 def trace(robot, truth, j, rng):
     """Return 8 s of sliding with varying velocity, every fourth second held out."""
     time = 2e-3 * np.arange(4000)
     velocity = 0.3 + 0.2 * np.sin(5.0 * time)
-    return Trace(time, velocity, steady(truth, velocity, j) + 2e-3 * rng.standard_normal(4000),
-                 steady(robot, velocity, j), time % 4.0 >= 3.0, 'sliding 1')
+    torque = steady(truth, velocity, j) + 2e-3 * rng.standard_normal(4000)
+    return outcome.Trace(time, velocity, torque, steady(robot, velocity, j), time % 4.0 >= 3.0,
+                         'sliding 1')

@@ -21,13 +21,12 @@ REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
 COUNT = 300
 
 
-def write_bag(path, chunk_size=4000):
+def write_bag(path):
+    """Write a bag in chunks; return its file."""
     types = {'/joint_states': cdr.JOINT_STATE, '/clock': 'rosgraph_msgs/msg/Clock'}
-    with BagWriter(path, types,
-                   chunk_size=chunk_size, flush_period=10.0) as writer:
+    with BagWriter(path, types, chunk_size=4000, flush_period=10.0) as writer:
         for k in range(COUNT):
-            writer.write('/joint_states', k, cdr.pack_joint_states(
-                ['a'], [k * 10**6], [[k]])[0])
+            writer.write('/joint_states', k, cdr.pack_joint_states(['a'], [k * 10**6], [[k]])[0])
             if k % 3 == 0:
                 writer.write('/clock', k, struct.pack('<4siI', cdr.LITTLE_ENDIAN, k, 0))
     return path / f'{path.name}_0.mcap'
@@ -62,25 +61,18 @@ def is_part_of(found, original):
 @pytest.mark.parametrize('fraction', [0.1, 0.3, 0.5, 0.77, 0.9, 0.97, 0.999])
 @pytest.mark.parametrize('metadata', [True, False])
 def test_a_file_cut_off_anywhere_gives_all_that_came_before(tmp_path, fraction, metadata):
-    original = contents_of_new(tmp_path / 'bag')
-    file = tmp_path / 'bag' / 'bag_0.mcap'
-    raw = file.read_bytes()
-    file.write_bytes(raw[:int(fraction * len(raw))])
+    file = write_bag(tmp_path / 'bag')
+    original, raw = contents(tmp_path / 'bag')[0], file.read_bytes()
+    left = raw[:int(fraction * len(raw))]
+    file.write_bytes(left)
     if not metadata:
         (tmp_path / 'bag' / 'metadata.yaml').unlink()
     found, bag = contents(tmp_path / 'bag')
     assert found == original[:len(found)]
-    with open(tmp_path / 'bag' / 'bag_0.mcap', 'rb') as stream:
-        ends = stream.read()
     # the next message is not in what is left of the file
     following = original[len(found)][3] if len(found) < len(original) else None
-    assert following is None or ends.count(following) == sum(m[3] == following for m in found)
+    assert following is None or left.count(following) == sum(m[3] == following for m in found)
     assert not bag.complete and bag.notes
-
-
-def contents_of_new(path):
-    write_bag(path)
-    return contents(path)[0]
 
 
 @pytest.mark.parametrize('end', ['closed', 'killed'])
@@ -105,9 +97,8 @@ def test_flipped_bits_never_change_data_and_never_lose_any_in_silence(tmp_path, 
 
 
 def test_a_damaged_chunk_is_named_and_left_out(tmp_path, capsys):
-    original = contents_of_new(tmp_path / 'bag')
-    file = tmp_path / 'bag' / 'bag_0.mcap'
-    raw = bytearray(file.read_bytes())
+    file = write_bag(tmp_path / 'bag')
+    original, raw = contents(tmp_path / 'bag')[0], bytearray(file.read_bytes())
     raw[len(raw) // 2] ^= 8
     file.write_bytes(raw)
     pattern = r'bag_0\.mcap: chunk (\d+) \(at byte \d+\) fails its checksum and is left out'
@@ -120,8 +111,7 @@ def test_a_damaged_chunk_is_named_and_left_out(tmp_path, capsys):
 
 
 def test_a_bad_first_chunk_does_not_cost_the_topics(tmp_path):
-    write_bag(tmp_path / 'bag')
-    file = tmp_path / 'bag' / 'bag_0.mcap'
+    file = write_bag(tmp_path / 'bag')
     raw = bytearray(file.read_bytes())
     raw[raw.index(b'float64[] position')] ^= 1
     file.write_bytes(raw)

@@ -1,12 +1,8 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Filters that recordings are looked at through, and waves over an angle."""
 
-from gms_flex_control.data.signal_analysis import (
-    derivatives,
-    low_pass,
-    low_pass_bandwidth,
-    standing_out,
-)
+from gms_flex_control.data import signal_analysis
+from gms_flex_control.data.signal_analysis import derivatives, low_pass, standing_out
 import numpy as np
 import pytest
 from scipy.signal import savgol_filter
@@ -26,7 +22,7 @@ def test_a_low_pass_has_no_phase(window):
 
 def test_a_low_pass_has_lost_three_decibels_at_its_bandwidth():
     time = np.arange(4000) * 1e-3
-    wave = np.sin(2.0 * np.pi * low_pass_bandwidth(20, 1e-3) * time)
+    wave = np.sin(2.0 * np.pi * signal_analysis.low_pass_bandwidth(20, 1e-3) * time)
     ratio = np.std(low_pass(wave, 20)[500:-500]) / np.std(wave[500:-500])
     assert ratio == pytest.approx(np.sqrt(0.5), rel=0.02)
 

@@ -6,13 +6,8 @@ import json
 from pathlib import Path
 
 from gms_flex_control.cli.main import main
-from gms_flex_control.design.excitation import (
-    Bounds,
-    Capsules,
-    condition_number,
-    plan_excitation,
-    segment_distance,
-)
+from gms_flex_control.design import excitation
+from gms_flex_control.design.excitation import Capsules, segment_distance
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import read_plan
@@ -66,7 +61,7 @@ def test_the_condition_number_of_a_pendulum_is_that_of_its_three_columns(pendulu
     table = np.stack([second, np.cos(angle), np.sin(angle)], axis=1)
     friction = np.stack([np.sign(rate), rate, np.ones(len(time))], axis=1)
     table -= friction @ np.linalg.lstsq(friction, table, rcond=None)[0]
-    number, _ = condition_number(angle[:, None], rate[:, None], second[:, None], robot)
+    number, _ = excitation.condition_number(angle[:, None], rate[:, None], second[:, None], robot)
     assert number == pytest.approx(np.linalg.cond(table / np.linalg.norm(table, axis=0)))
 
 
@@ -129,9 +124,10 @@ def test_a_fourier_series_has_its_own_derivatives():
 
 def test_limits_that_leave_no_room_are_named(pendulum):
     robot = load_robot(pendulum)
-    weak = replace(Bounds.of_robot(robot), torque=np.array([5.0]), lower=np.array([1.0]))
+    bounds = excitation.Bounds.of_robot(robot)
+    weak = replace(bounds, torque=np.array([5.0]), lower=np.array([1.0]))
     with pytest.raises(ConfigError, match='torque is .* times its limit'):
-        plan_excitation(robot, weak, harmonics=2)
+        excitation.plan_excitation(robot, weak, harmonics=2)
 
 
 def test_a_planar_arm_is_refused(capsys, tmp_path):

@@ -9,23 +9,14 @@ from bench.hidden_robots.cases import make_case
 from core_runs import affected, effect_on
 from discrepancy_runs import as_believed, driven_motion, likelihood_of, retuned_of
 from gms_flex_control.data.signal_analysis import FOLDS
-from gms_flex_control.discrepancy import findings, worth
+from gms_flex_control.discrepancy import findings, validation, worth
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.fitting import extended, fit, foreseen
 from gms_flex_control.discrepancy.gap import Errors, free_rms, free_runs, HeldOut, torque_rms
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
-from gms_flex_control.discrepancy.validation import (
-    Gain,
-    gain_of,
-    gain_over,
-    innovation_cost,
-    memory_of,
-    of_blocks,
-    prediction_cost,
-    steps,
-)
+from gms_flex_control.discrepancy.validation import Gain, gain_of, innovation_cost
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.params.arm import at_last_link, Body, carrying
 from gms_flex_control.params.robot import with_effects
@@ -57,7 +48,7 @@ def test_noise_of_encoders_costs_a_model_no_held_out_likelihood():
     every, drawn = np.ones(rows, dtype=bool), 0.3 * rng.standard_normal((3, rows))
     one_block = SimpleNamespace(groups=SimpleNamespace(block=np.zeros(rows, dtype=int), blocks=1))
     quiet = rng.standard_normal(rows)
-    best, raw, cleared = (float(of_blocks(one_block, every, *given)[0]) for given in (
+    best, raw, cleared = (float(validation.of_blocks(one_block, every, *given)[0]) for given in (
         (quiet, 1.0), (quiet + drawn[0], 1.0),
         (quiet + drawn[0], 1.0, 0.5 * (drawn[1] - drawn[2]) ** 2)))
     assert abs(cleared - best) < 0.05 * (best - raw)
@@ -87,13 +78,13 @@ def test_prediction_one_sample_ahead_is_no_better_with_less_torque_of_everything
     less = robot
     for joint in robot.joints:
         less = affected(less, joint, 'torque_gain', -0.3)
-    own, other = prediction_cost(likelihood, [(robot, 0.0 * x), (less, x)])
+    own, other = validation.prediction_cost(likelihood, [(robot, 0.0 * x), (less, x)])
     assert own < other
 
 
 def test_the_cost_of_prediction_is_that_of_least_squares_on_earlier_errors():
     """Gaps in the recording left out, earlier errors of both channels written out."""
-    rng, memory = np.random.default_rng(5), memory_of(0.01)
+    rng, memory = np.random.default_rng(5), validation.memory_of(0.01)
     errors = np.cumsum(rng.standard_normal((600, 2)), axis=0) @ [[1.0, 0.3], [0.0, 1.0]]
     usable = np.ones(600, dtype=bool)
     usable[[0, 1, 200, 377]] = False
@@ -139,7 +130,7 @@ def test_a_fold_is_predicted_by_a_fit_that_saw_nothing_of_it(ideal_robot, gains)
     """
     likelihood = Likelihood([driven_motion(ideal_robot, gains, duration=8.0)], ideal_robot)
     model, columns = as_believed(likelihood), retuned_of(likelihood)[1]
-    for left_out, step in steps(likelihood, model, columns):
+    for left_out, step in validation.steps(likelihood, model, columns):
         blind = replace(model, whitened=model.whitened * ~left_out)
         alone, _ = foreseen(likelihood, blind, columns * ~left_out, columns[:0], (), np.inf)
         np.testing.assert_allclose(step, alone, rtol=0, atol=1e-4 * np.abs(alone).max())
@@ -160,7 +151,7 @@ def test_what_acts_unevenly_is_as_real_as_what_acts_evenly(true, least, most):
     x = np.random.default_rng(0).standard_normal((2000, len(size))) + true * size
     for fitted in ([size] if true else [size, 0.1 * size]):
         gains = x * fitted - 0.5 * fitted ** 2  # log likelihood ratio of means fitted and 0
-        assert least <= np.mean([gain_over(one).is_real() for one in gains]) <= most
+        assert least <= np.mean([validation.gain_over(one).is_real() for one in gains]) <= most
 
 
 def test_a_perfect_model_is_at_its_floor(case):

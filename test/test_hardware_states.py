@@ -4,15 +4,8 @@
 import math
 
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.hardware.mapping import (
-    Actuation,
-    JointMap,
-    Reading,
-    ReadingError,
-    sort,
-    StateMerger,
-    Timeline,
-)
+from gms_flex_control.hardware import mapping
+from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading, ReadingError, Timeline
 import numpy as np
 import pytest
 
@@ -33,7 +26,7 @@ def joint_map(**options):
 
 def merger(sources=('one',), **options):
     """Return a merger of joint_map."""
-    return StateMerger(joint_map(), sources, **({'cutoff': 50.0, 'skew': 0.01} | options))
+    return mapping.StateMerger(joint_map(), sources, **({'cutoff': 50.0, 'skew': 0.01} | options))
 
 
 def take(merged, names, position, stamp, *, source=0, velocity=(), effort=(), now=None):
@@ -45,7 +38,7 @@ def take(merged, names, position, stamp, *, source=0, velocity=(), effort=(), no
 def by_joints(mapped, *, state=((0.0,) * 3,) * 2, efforts=(NAN,) * 3, otherwise=(0.0,) * 2):
     """Return what `sort` makes of readings of three encoders: sides, torque."""
     sides, torque = np.zeros((4, 2)), np.zeros(2)
-    sort(*map(np.array, (state, efforts, otherwise)), *mapped.arrays[:3], sides, torque)
+    mapping.sort(*map(np.array, (state, efforts, otherwise)), *mapped.arrays[:3], sides, torque)
     return sides, torque
 
 

@@ -7,15 +7,11 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification import axis_fit
 from gms_flex_control.identification.arm_fit import estimate_arm
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.assumed_robot import rigid_joints
-from gms_flex_control.identification.axis_fit import (
-    axis_samples,
-    fit_axis,
-    held_torque,
-    samples_that_agree,
-)
+from gms_flex_control.identification.axis_fit import fit_axis, held_torque
 from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of, IN_PLANE
 from gms_flex_control.identification.motor_equation import motor_equation_of
@@ -30,7 +26,7 @@ ALL = IdentifyOptions(estimate='all', blocks=(1, 3))
 
 def fitted(recorded):
     """Return the AxisFit of one recording."""
-    return fit_axis(axis_samples([recorded], held_torque(0), 0), 'swing', 'here')
+    return fit_axis(axis_fit.axis_samples([recorded], held_torque(0), 0), 'swing', 'here')
 
 
 @pytest.mark.parametrize(('pull', 'constant'), [(0.5, 0.0), (0.0, 0.0), (0.0, 0.2)])
@@ -77,7 +73,7 @@ def test_inertia_and_gravity_are_those_below_the_resonance_of_what_carries_the_a
     torque[1:] = 0.5 * (torque[1:] + torque[:-1])
     take = replace(take, q_link=take.q_link + shaken[:, None],
                    tau_motor=take.tau_motor + torque[:, None])
-    fit = fit_axis(samples_that_agree([take], held_torque(0), 0, True), 'swing', 'here')
+    fit = fit_axis(axis_fit.samples_that_agree([take], held_torque(0), 0, True), 'swing', 'here')
     assert fit.inertia == pytest.approx(0.02, rel=0.1)
     assert fit.gravity_torque == pytest.approx(0.5, rel=0.1)
 

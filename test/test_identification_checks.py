@@ -7,20 +7,8 @@ import warnings
 
 from bench.hidden_arms.plant import recording_of
 from bench.hidden_robots.cases import make_case
-from faulty import (
-    changed,
-    dropped,
-    exchanged_sides,
-    FAULTS,
-    HEALTHY,
-    healthy,
-    one_way,
-    ROOT,
-    SIDES,
-    taken,
-    UNLIKE,
-    with_columns,
-)
+import faulty
+from faulty import FAULTS, healthy, ROOT, SIDES, taken, UNLIKE
 from gms_flex_control.data.csv_import import import_csv
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError, IdentificationError
@@ -45,7 +33,7 @@ OF_EXPERIMENT = ('1 % dropped', 'bursts dropped', '5 % repeated', 'clock ahead',
                  'sides exchanged')
 
 
-@pytest.mark.parametrize('name', [*HEALTHY, 'experiment'])
+@pytest.mark.parametrize('name', [*faulty.HEALTHY, 'experiment'])
 def test_a_healthy_recording_has_no_finding(name):
     assert check(*healthy(name)) == ()
 
@@ -91,7 +79,7 @@ def test_a_source_slower_than_the_log_does_not_jump():
     slow = (rows >= 1600) & (rows < 2000)
     held = taken(recording, np.where(slow, rows // 16 * 16, rows), recording.time)
     assert 'jump' not in {one.kind for one in check(held, robot)}
-    turned = changed(held, q_link=lambda q, time: q + np.pi * (time > 5.0))
+    turned = faulty.changed(held, q_link=lambda q, time: q + np.pi * (time > 5.0))
     assert [one.kind for one in check(turned, robot)][-1] == 'jump'
 
 
@@ -117,7 +105,7 @@ def test_a_joint_that_stands_may_give_way_once():
 @pytest.mark.parametrize('name', ['sinusoid', 'gravity', 'rigid gravity'])
 def test_one_direction_is_named_with_the_parameters_it_costs(name):
     recording, robot = healthy(name)
-    found = [finding for finding in check(one_way(recording), robot)
+    found = [finding for finding in check(faulty.one_way(recording), robot)
              if finding.kind == 'one_direction']
     assert [finding.joint for finding in found] == ['joint1', 'joint2']
     assert 'friction.joint1.backward is not identifiable' in found[0].text
@@ -125,7 +113,7 @@ def test_one_direction_is_named_with_the_parameters_it_costs(name):
 
 def test_recordings_of_other_joint_order_are_found_by_name():
     recording, robot = healthy('unlike')
-    turned = replace(with_columns(recording, [1, 0]), joints=recording.joints[::-1],
+    turned = replace(faulty.with_columns(recording, [1, 0]), joints=recording.joints[::-1],
                      reference=recording.reference[:, :, ::-1])
     assert check(turned, robot) == ()
 
@@ -165,7 +153,7 @@ def test_require_raises_the_first_fault_unless_forced():
         require(reversed_torque, robot)
     assert {finding.kind for finding in require(reversed_torque, robot, force=True)} == {
         'torque_sign'}
-    warnings = require(dropped(recording, 0.01), robot)
+    warnings = require(faulty.dropped(recording, 0.01), robot)
     assert [finding.severity for finding in warnings] == ['warn']
     assert issubclass(IdentificationError, GmsFlexError)
 
@@ -226,7 +214,7 @@ def test_kr300_is_healthy_and_its_faults_are_found(name):
     assert check(recording, robot) == ()
     for kind, fault in (
             ('torque_sign', replace(recording, tau_motor=-recording.tau_motor)),
-            ('swapped_sides', exchanged_sides(recording)),
+            ('swapped_sides', faulty.exchanged_sides(recording)),
             ('torque_scale', replace(recording, tau_motor=recording.tau_motor / 256.9))):
         assert kind in {finding.kind for finding in check(fault, robot)}
 

@@ -6,15 +6,8 @@ import json
 
 import faulty
 from gms_flex_control.cli.main import main
-from gms_flex_control.data.conditions import (
-    Conditions,
-    conditions_of,
-    NAME,
-    OF_ROBOT,
-    repeat_conditions,
-    with_conditions,
-    with_found,
-)
+from gms_flex_control.data import conditions
+from gms_flex_control.data.conditions import conditions_of, NAME, with_conditions
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
@@ -143,7 +136,7 @@ def test_found_constants_and_loads_are_written_for_the_next_command(tmp_path):
     (tmp_path / NAME).write_text(
         'temperature: warm\ntorque_constant: {a: {value: 2, sd: 0.1}, b_motor: unknown, c: 5}\n')
     load = Body(3.0, np.array([0.1, 0.0, 0.2]), np.diag([0.1, 0.2, 0.15]))
-    text = with_found(tmp_path, {'a': (1.5, 0.01), 'b': (7.0, 0.02)}, load,
+    text = conditions.with_found(tmp_path, {'a': (1.5, 0.01), 'b': (7.0, 0.02)}, load,
                       {'a': '', 'b': 'b_motor'})
     (tmp_path / NAME).write_text(text)
     again = conditions_of(tmp_path)
@@ -196,7 +189,7 @@ def wrist():
 
 
 def test_torque_that_is_missing_is_missing_of_the_joints_of_its_motor_alone(wrist):
-    found = with_conditions(wrist, Conditions(coupling={'c': {'b': 0.5}}))
+    found = with_conditions(wrist, conditions.Conditions(coupling={'c': {'b': 0.5}}))
     lost = [10.0 - 3.0 * k for k in (3, 2, 1, 0)]
     torque = np.array([[np.nan, b + 0.5 * c, c] for b, c in zip(lost, (2, 5, 8, 11), strict=True)])
     torque[2, 1] = np.nan
@@ -220,8 +213,8 @@ def test_what_is_known_of_a_recording_is_repeated_beside_the_next(tmp_path):
     for name in ('old', 'new', 'simulated'):
         (tmp_path / name).mkdir()
     stated(tmp_path / 'old', 'load: {mass: 2}\ntemperature: warm\ntorque_constant: {a: 3.0}\n')
-    repeat_conditions(tmp_path / 'old', tmp_path / 'new')
-    repeat_conditions(tmp_path / 'old', tmp_path / 'simulated', OF_ROBOT)
+    conditions.repeat_conditions(tmp_path / 'old', tmp_path / 'new')
+    conditions.repeat_conditions(tmp_path / 'old', tmp_path / 'simulated', conditions.OF_ROBOT)
     new, simulated = (conditions_of(tmp_path / name) for name in ('new', 'simulated'))
     assert new.operation.load.mass == simulated.operation.load.mass == 2.0
     assert new.operation.temperature == simulated.operation.temperature == 'warm'

@@ -1,17 +1,10 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Which numbers of a joint are flagged as not identifiable, however narrow their intervals."""
 
+from gms_flex_control.identification import uncertainty
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.outcome import estimated, NOT_IDENTIFIABLE
-from gms_flex_control.identification.uncertainty import (
-    clustered,
-    estimates_of,
-    inverse_of,
-    memory_of,
-    shown_displacements,
-    Spread,
-    unshrunk,
-)
+from gms_flex_control.identification.uncertainty import clustered, inverse_of
 import numpy as np
 import pytest
 
@@ -25,9 +18,10 @@ def estimates(stiffness, reach, travel, doubt=1e-3, rivals=(), top=2.0):
     coordinates = Coordinates(len(stiffness))
     yields = STATIC.mean() / len(stiffness) / np.asarray(stiffness)
     free = coordinates.pack(STATIC, COULOMB, STRIBECK, [0.0037, 0.0053], 1.0, yields)
-    spread = Spread(doubt ** 2 * np.eye(len(free)), np.ones(len(free)))
-    return {estimate.name.removeprefix('friction.joint2.'): estimate for estimate in estimates_of(
-        'joint2', coordinates, free, spread, reach, travel, rivals, top=top)}
+    spread = uncertainty.Spread(doubt ** 2 * np.eye(len(free)), np.ones(len(free)))
+    found = uncertainty.estimates_of('joint2', coordinates, free, spread, reach, travel, rivals,
+                                     top=top)
+    return {estimate.name.removeprefix('friction.joint2.'): estimate for estimate in found}
 
 
 def flagged(found):
@@ -116,7 +110,7 @@ def test_blocks_that_draw_the_fit_to_themselves_are_as_uncertain_as_the_others()
         left = (noise - columns @ (columns.T @ noise))[:, None]
         scores = (columns * left).reshape(blocks, 20, 20).sum(axis=1)
         variance += [np.sum(one ** 2, axis=0) / noises for one in (
-            scores, unshrunk(scores, share))]
+            scores, uncertainty.unshrunk(scores, share))]
     assert variance[0].mean() < 0.8
     np.testing.assert_allclose(variance[1], 1.0, rtol=0.2)
     assert variance[1].mean() == pytest.approx(1.0, abs=0.03)
@@ -138,7 +132,7 @@ def test_numbers_of_a_prior_alone_say_nothing_of_how_far_samples_are_alike():
     precision = np.full(6, 1e-2)
     inverse = inverse_of(np.diag(information + precision))
     scores = np.sqrt(7.0 * information / 400) * rng.standard_normal((400, 6))
-    assert memory_of(inverse, precision, scores) == pytest.approx(7.0, rel=0.1)
+    assert uncertainty.memory_of(inverse, precision, scores) == pytest.approx(7.0, rel=0.1)
 
 
 @pytest.mark.parametrize(('yields', 'known', 'expected'), [
@@ -148,5 +142,5 @@ def test_the_presliding_curve_is_shown_between_the_yields_that_are_known(yields,
     """The axis of one point would be singular; a block alone is a line from the first step on."""
     blocks = [estimated(f'friction.joint1.stiffness[{size}]', 'N m/rad', 0.1 / len(yields) / size,
                         known=one) for size, one in zip(yields, known, strict=True)]
-    shown = shown_displacements(blocks, 0.1, 1e-5, 7)
+    shown = uncertainty.shown_displacements(blocks, 0.1, 1e-5, 7)
     assert tuple(shown[[0, -1]] if len(shown) else shown) == pytest.approx(expected)

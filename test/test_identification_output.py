@@ -5,20 +5,9 @@ from dataclasses import replace
 import json
 
 from gms_flex_control.file_io import controller_file, robot_file, write_json
-from gms_flex_control.identification.outcome import (
-    Estimate,
-    estimated,
-    Interval,
-    NOT_IDENTIFIABLE,
-    standing,
-)
-from gms_flex_control.identification.output import (
-    condition_files,
-    friction_values,
-    report_json,
-    uncertainty_of,
-    write_friction,
-)
+from gms_flex_control.identification import outcome, output
+from gms_flex_control.identification.outcome import estimated
+from gms_flex_control.identification.output import friction_values, uncertainty_of, write_friction
 from gms_flex_control.params.robot import UNCERTAIN
 from gms_flex_control.schema.files import load_controller, load_robot, read_parameters
 from identified import ERRORS, identification
@@ -37,7 +26,8 @@ def edited(made, j=0, **changes):
 
 def estimate(low, high, flags=(), value=1.0):
     """Return an Estimate with an interval."""
-    return Estimate('friction.joint1.attraction', 'N m/s', value, Interval(low, high), flags, '')
+    return outcome.Estimate('friction.joint1.attraction', 'N m/s', value,
+                            outcome.Interval(low, high), flags, '')
 
 
 def same_friction(a, b):
@@ -83,7 +73,7 @@ def test_friction_that_the_data_leave_open_is_known_worse_than_usual():
     made = identification()
     assert uncertainty_of(made)['viscous', 'joint1'] < 0.1
     opened = edited(made, estimates=tuple(
-        one._replace(flags=(NOT_IDENTIFIABLE,)) if one.name.endswith('viscous') else one
+        one._replace(flags=(outcome.NOT_IDENTIFIABLE,)) if one.name.endswith('viscous') else one
         for one in made.joints[0].estimates))
     values = uncertainty_of(opened)
     assert values['viscous', 'joint1'] == pytest.approx(4.0 * UNCERTAIN['viscous'].sd)
@@ -135,7 +125,7 @@ def test_a_link_of_no_inertia_beside_its_motor_is_open():
 def test_bags_of_one_name_get_files_of_their_own(tmp_path):
     made = replace(identification(), sources=('monday/bag', 'tuesday/bag', 'tuesday/other'),
                    constants={'joint1': (2.0, 0.01)})
-    files = condition_files(made, tmp_path)
+    files = output.condition_files(made, tmp_path)
     assert [one.name for one in files.values()] == [
         'bag_1.recording.yaml', 'bag_2.recording.yaml', 'other.recording.yaml']
 
@@ -161,9 +151,9 @@ def test_a_joint_taken_as_rigid_keeps_its_motor_and_spring(tmp_path):
 def test_report_json_is_strictly_valid_and_complete(tmp_path):
     made = edited(identification(), held_out=ERRORS._replace(
         repeatability=np.nan, free_run_rms=np.inf, torque_rms=np.float32(0.5)))
-    write_json(tmp_path / 'report.json', report_json(made))
+    write_json(tmp_path / 'report.json', output.report_json(made))
     found = json.loads((tmp_path / 'report.json').read_text('utf-8'), parse_constant=pytest.fail)
-    assert found == report_json(made)
+    assert found == output.report_json(made)
     assert (found['duration'], found['sources'], found['warnings']) == (
         412.5, ['bags/a', 'bags/b'], ['3 samples were lost.'])
     first, second = found['joints']
@@ -186,4 +176,4 @@ def test_report_json_is_strictly_valid_and_complete(tmp_path):
     (estimate(0.95, 1.05, ('at bound', 'not identifiable')), 'not identifiable'),
     (estimate(0.95, 1.05, value=np.nan), 'not identifiable')])
 def test_how_far_a_number_can_be_trusted(made, expected):
-    assert standing(made) == expected
+    assert outcome.standing(made) == expected

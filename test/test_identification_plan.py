@@ -6,12 +6,8 @@ from pathlib import Path
 
 from bench.identification_simulated import read_identification_plan
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.experiment.identification_plan import (
-    Adaptation,
-    ExperimentError,
-    plan_identification,
-    require_space,
-)
+from gms_flex_control.experiment import identification_plan
+from gms_flex_control.experiment.identification_plan import require_space
 from gms_flex_control.schema.files import load_controller, load_robot, read_values
 import numpy as np
 import pytest
@@ -142,8 +138,8 @@ def test_gravity_is_held_by_a_bias():
     heavy = replace(ROBOT, arm=arm)
     gains = replace(GAINS, torque_limit=np.array([20.0, 20.0]))
     values, _ = read_values([CONFIG / FILES[1]])
-    step = next(step for step in plan_identification(values, heavy, gains).experiments
-                if step.kind == 'torque')
+    plan = identification_plan.plan_identification(values, heavy, gains)
+    step = next(step for step in plan.experiments if step.kind == 'torque')
     m, com, length = arm.mass, arm.com, arm.length[0]
     second = m[1] * com[1] * 9.81  # both links lie along x
     first = (m[0] * com[0] + m[1] * length) * 9.81 + second
@@ -177,13 +173,14 @@ def test_a_step_that_cannot_keep_a_limit_is_refused_before_anything_moves(overri
 
 def test_a_recording_needs_space(tmp_path):
     require_space(tmp_path / 'not' / 'yet', 1000)
-    with pytest.raises(ExperimentError, match=r'MB free and the recording needs about \d+ MB'):
+    reason = r'MB free and the recording needs about \d+ MB'
+    with pytest.raises(identification_plan.ExperimentError, match=reason):
         require_space(tmp_path, 1e18)
 
 
 def test_amplitudes_follow_the_least_break_away_torque():
     plan = planned('../bench/demos/identification.yaml')
-    adaptation = Adaptation(plan)
+    adaptation = identification_plan.Adaptation(plan)
     broken = next(step for step in plan.experiments if step.phase == 'break_away')
     slid = next(step for step in plan.experiments if step.phase == 'presliding')
     assert adaptation.applied_to(slid) == slid

@@ -9,17 +9,8 @@ from bench.identification_simulated import read_identification_plan
 from gms_flex_control.data.reader import read_experiment
 from gms_flex_control.design.determination import experiments_for
 from gms_flex_control.schema import files
-from node_harness import (
-    CONFIG,
-    FILES,
-    INT,
-    interfaces,
-    JOINTS,
-    Lab,
-    services,
-    Trigger,
-    write_parameters,
-)
+import node_harness
+from node_harness import FILES, services, Trigger
 import numpy as np
 import pytest
 
@@ -47,12 +38,12 @@ SHORT = """identification:
 """
 
 
-class Experiment(Lab):
+class Experiment(node_harness.Lab):
     """Plant, controller and trajectory in lockstep, and the identification node."""
 
     def __init__(self, folder, **changes):
         super().__init__(folder)
-        self.file = write_parameters(folder / 'short.yaml', SHORT)
+        self.file = node_harness.write_parameters(folder / 'short.yaml', SHORT)
         self.bag = folder / 'bag'
         self._plant, self.believed = changes, FILES[0]
 
@@ -110,7 +101,8 @@ def test_a_whole_experiment_is_recorded_with_its_phases(lab):
 
 def test_experiments_that_next_plans_find_what_was_believed_wrong_within_the_limits(lab):
     """F_s of joint2 is believed 25 % too large; the torque that moves it says so."""
-    true, limits = files.load_robot(FILES[0]), files.load_limits([CONFIG / 'bridge.yaml'], JOINTS)
+    true = files.load_robot(FILES[0])
+    limits = files.load_limits([node_harness.CONFIG / 'bridge.yaml'], true.joints)
     believed = replace(true, friction=replace(true.friction, **{side: replace(
         getattr(true.friction, side), static=getattr(true.friction, side).static * [1.0, 1.25])
         for side in ('forward', 'backward')}))
@@ -167,7 +159,7 @@ def test_start_stop_and_resume_and_a_signal_gives_zero_torque(lab):
     assert lab.call(Trigger, '/identification/resume').success
     assert not lab.call(Trigger, '/identification/start').success  # it runs already
     lab.until_step(node, 'break_away')
-    assert node.signal(INT) == 0, node.printed()
+    assert node.signal(node_harness.INT) == 0, node.printed()
     begun = len(commands)
     lab.until(lambda: len(commands) > begun + 50 and no_torque(commands[-50:]))
     assert 'ended by a signal' in node.printed()
@@ -201,7 +193,7 @@ def test_parameters_that_are_refused_end_it_with_the_reason(lab):
         return response
 
     def answer(request, response):
-        response.values = [interfaces.ParameterValue(type=3, double_value=1.0)
+        response.values = [node_harness.interfaces.ParameterValue(type=3, double_value=1.0)
                            for _ in request.names]
         return response
 

@@ -9,17 +9,8 @@ from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import drive_recorded, DrivenPlan
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from gms_flex_control.schema.files import load_robot, save_robot
-from node_harness import (
-    array_message,
-    CONFIG,
-    DISCOVERY,
-    FILES,
-    Lab,
-    stamp_of,
-    STATES,
-    take_domain,
-    write_parameters,
-)
+import node_harness
+from node_harness import array_message, FILES, stamp_of, write_parameters
 import numpy as np
 
 MIXED = """
@@ -31,9 +22,9 @@ encoder: {noise: 1e-4}
 
 def both(tmp_path, monkeypatch, files, *, duration, compensation, rate=500.0):
     """Return the recording of three nodes, that of one process, and the plan."""
-    domain, lock = take_domain()
+    domain, lock = node_harness.take_domain()
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    monkeypatch.setenv(DISCOVERY, 'LOCALHOST')
+    monkeypatch.setenv(node_harness.DISCOVERY, 'LOCALHOST')
     with lock:
         drive_recorded(DrivenPlan(
             files=tuple(files), model=files[0], compensation=compensation, duration=duration,
@@ -64,7 +55,7 @@ def test_nodes_and_one_process_agree(tmp_path, monkeypatch):
     extra = write_parameters(tmp_path / 'extra.yaml', (
         'seed: 7\ninitial: {joint1: 0.4}\n'
         'trajectory: {joint1: {amplitude: 0.7}, ramp_time: 1}'))
-    files = [tmp_path / 'robot.yaml', FILES[1], CONFIG / 'sinusoid.yaml', extra]
+    files = [tmp_path / 'robot.yaml', FILES[1], node_harness.CONFIG / 'sinusoid.yaml', extra]
     driven, simulated, plan = both(tmp_path, monkeypatch, files, duration=3.0,
                                    compensation='gms', rate=300.0)
     assert len(driven.time) == 900
@@ -76,13 +67,13 @@ def test_nodes_and_one_process_agree(tmp_path, monkeypatch):
     assert np.ptp(driven.q_link[:, 0]) > 0.3  # it moved
     assert_equal(driven, simulated)
     names = {tuple(unpack_joint_state(data)[2]) for batch in Bag(tmp_path / 'driven').batches()
-             for topic, _, _, data in batch if topic == STATES}
+             for topic, _, _, data in batch if topic == node_harness.STATES}
     assert names == {('joint1', 'joint2', 'joint2_motor')}
 
 
 def test_the_last_sample_is_answered_before_the_plant_ends(tmp_path):
     """A recording of N states has N commands; unanswered the plant would wait."""
-    with Lab(tmp_path) as lab:
+    with node_harness.Lab(tmp_path) as lab:
         states = lab.hear('states')
         commands = lab.say('commands')
         plant = lab.start('plant_node', mode='lockstep', rate=100.0, duration=0.03,

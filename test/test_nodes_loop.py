@@ -5,17 +5,8 @@ from itertools import pairwise
 import math
 
 from gms_flex_control.params.gains import COMPENSATIONS
-from node_harness import (
-    Float64MultiArray,
-    interfaces,
-    JOINTS,
-    JointState,
-    Lab,
-    MOTION,
-    NAMES,
-    services,
-    stamp_of,
-)
+import node_harness
+from node_harness import Float64MultiArray, interfaces, MOTION, services, stamp_of
 import numpy as np
 import pytest
 
@@ -29,7 +20,7 @@ KD = 'gains__joint1__kd_link'
 def listen(lab):
     """Listen to a loop that moves, and wait until it does."""
     lab.states, lab.commands, lab.references = lab.hear('states', 'commands', 'references')
-    lab.errors = lab.listen(JointState, '/cascade_controller/state')
+    lab.errors = lab.listen(node_harness.JointState, '/cascade_controller/state')
     lab.blocks = lab.listen(Float64MultiArray, '/cascade_controller/blocks')
     lab.until(lambda: len(lab.errors) > 20 and any(lab.commands[-1].data))
 
@@ -37,7 +28,7 @@ def listen(lab):
 @pytest.fixture(scope='module')
 def loop(tmp_path_factory):
     """Run the three nodes, moving along the sinusoid; yield a Lab that listens to them."""
-    with Lab(tmp_path_factory.mktemp('loop')) as lab:
+    with node_harness.Lab(tmp_path_factory.mktemp('loop')) as lab:
         lab.controller = lab.start('controller_node', files=MOTION)
         lab.trajectory = lab.start('trajectory_node', files=MOTION, trajectory__autostart=True)
         lab.plant = lab.start('plant_node', files=MOTION, rate=RATE)
@@ -60,7 +51,7 @@ def sizes(message):
 
 def test_joint_states_name_links_then_motors(loop):
     state = loop.more(loop.states, 1)[0]
-    assert list(state.name) == NAMES
+    assert list(state.name) == node_harness.NAMES
     assert len(state.position) == len(state.velocity) == len(state.effort) == 4
     assert all(map(math.isnan, state.effort[:2])) and all(map(math.isfinite, state.effort[2:]))
     assert all(map(math.isfinite, [*state.position, *state.velocity]))
@@ -94,7 +85,7 @@ def test_reference_and_command_carry_layout_stamp_and_source(loop):
 
 def test_controller_publishes_error_estimate_and_blocks(loop):
     error = loop.more(loop.errors, 1)[0]
-    assert list(error.name) == JOINTS
+    assert list(error.name) == node_harness.JOINTS
     # each has arrived by itself; the state and the reference of that stamp come around it
     stamp = stamp_of(error)
     loop.until(lambda: stamp in map(stamp_of, loop.states)

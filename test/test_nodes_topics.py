@@ -7,16 +7,9 @@ import struct
 from types import SimpleNamespace
 
 from bridge_lab import ask
-from gms_flex_control.nodes import health, messages
+from gms_flex_control.nodes import health, messages, topics
 from gms_flex_control.nodes.health import Health, Namesakes
-from gms_flex_control.nodes.topics import (
-    all_waiting,
-    Deserialized,
-    Direct,
-    Inbox,
-    Outlet,
-    Serialized,
-)
+from gms_flex_control.nodes.topics import Deserialized, Direct, Serialized
 from node_harness import EventsExecutor, Float64MultiArray, joint_state, JointState, Lab, rclpy
 import numpy as np
 import pytest
@@ -43,7 +36,8 @@ def test_what_waits_behind_a_burst_on_another_topic_is_looked_at_before_its_end(
     executor = EventsExecutor(context=lab.node.context)
     executor.add_node(node)
     for topic in ('burst', 'single'):
-        Inbox(node, JointState, topic, lambda message, topic=topic: heard.append(topic) or True)
+        topics.Inbox(node, JointState, topic,
+                     lambda message, topic=topic: heard.append(topic) or True)
     burst, single = (lab.speak(JointState, topic) for topic in ('burst', 'single'))
     seen = lab.listen(JointState, 'single')
     lab.until(lambda: burst.get_subscription_count() and single.get_subscription_count() == 2)
@@ -66,11 +60,11 @@ def test_who_speaks_or_listens_after_the_end_of_its_node_gets_an_error(lab):
     """A callback that outlasts the end of a process must not touch memory that is free."""
     node = rclpy.create_node('ended', context=lab.node.context)
     node.direct = Direct()
-    outlet = Outlet(node, JointState, 'ended')
+    outlet = topics.Outlet(node, JointState, 'ended')
     subscription = node.create_subscription(JointState, 'ended', print, 1, raw=True)
     node.destroy_node()
     for call in (partial(outlet._publish, serialize_message(joint_state(0))),
-                 outlet.count_others, partial(list, all_waiting(subscription, 1))):
+                 outlet.count_others, partial(list, topics.all_waiting(subscription, 1))):
         with pytest.raises(RuntimeError, match='pointer is invalid'):
             call()
 

@@ -3,15 +3,8 @@
 
 from types import SimpleNamespace
 
-from gms_flex_control.discrepancy.residual_views import (
-    bin_edges,
-    binned,
-    Evidence,
-    follows,
-    Map,
-    maps_of,
-    over_all,
-)
+from gms_flex_control.discrepancy import residual_views
+from gms_flex_control.discrepancy.residual_views import binned, follows, over_all
 from gms_flex_control.discrepancy.result import Gap, Value
 from gms_flex_control.reports.discrepancy_values import over_values, plain
 from gms_flex_control.reports.figure_style import save_figure
@@ -32,7 +25,7 @@ def test_binned_means_lie_on_the_curve_within_their_bands():
     away = np.abs(curve.x) > 0.2
     assert np.mean(np.abs(curve.mean - np.sign(curve.x))[away] < curve.half[away]) > 0.9
     # of the central limit, 0.4 of the samples being on their own
-    edges = bin_edges(x)
+    edges = residual_views.bin_edges(x)
     count = np.bincount(np.searchsorted(edges, x))
     np.testing.assert_allclose(curve.half[away], (1.96 / np.sqrt(0.4 * count))[away], rtol=0.35)
 
@@ -69,7 +62,7 @@ def test_what_a_residual_depends_on_is_shown_beside_what_is_chance():
 
 def test_a_map_shows_what_is_more_than_chance():
     along, before, chance = moving_joint()
-    for one in maps_of(along, before, chance, 0):
+    for one in residual_views.maps_of(along, before, chance, 0):
         known = np.isfinite(one.before)
         assert known.sum() > 100
         assert np.mean(one.before[known] != 0.0) > 0.4
@@ -89,11 +82,13 @@ def test_pictures_are_drawn_of_any_names_and_of_nothing(tmp_path):
          'free_after', 'free_floor'), zero))
     x, y = sampled()
     curve = binned(x, y)
-    evidence = Evidence(effect='backlash', joint='$_<b>', equation='link', of_joint='$_<b>',
-                        x_label='torsion [rad]', times='the direction of $_<b>', x=x, y=y,
-                        before=curve, after=curve, own=curve)
+    evidence = residual_views.Evidence(
+        effect='backlash', joint='$_<b>', equation='link', of_joint='$_<b>', x=x, y=y,
+        x_label='torsion [rad]', times='the direction of $_<b>', before=curve, after=curve,
+        own=curve)
     edges = np.linspace(0.0, 1.0, 4)
-    empty = Map('link equation', 'x [rad]', 'y [rad]', edges, edges, *np.full((2, 3, 3), np.nan))
+    empty = residual_views.Map('link equation', 'x [rad]', 'y [rad]', edges, edges,
+                               *np.full((2, 3, 3), np.nan))
     chance = empty._replace(before=np.zeros((3, 3)), after=np.zeros((3, 3)))
     norms = {(mesh.norm.vmin, mesh.norm.vmax) for mesh in [
         mesh for panel in maps_figure([empty, chance], 'j').axes[:4]

@@ -8,15 +8,8 @@ import json
 import re
 import sys
 
-from node_harness import (
-    array_message,
-    Float64MultiArray,
-    joint_state,
-    JointState,
-    Lab,
-    TERM,
-    Trigger,
-)
+import node_harness
+from node_harness import array_message, Float64MultiArray
 import numpy as np
 import pytest
 
@@ -29,10 +22,10 @@ PERIOD = 10_000_000  # [ns]
 @pytest.fixture(scope='module')
 def lab(tmp_path_factory):
     """Run the tool on a namespace that only this test speaks in; yield the Lab."""
-    with Lab(tmp_path_factory.mktemp('view')) as lab:
+    with node_harness.Lab(tmp_path_factory.mktemp('view')) as lab:
         lab.view = lab.run([sys.executable, '-m', 'gms_flex_control.cli.main', 'view', 'live',
                             '--namespace', 'left', '--port', '0'], 'view')
-        lab.states = lab.speak(JointState, '/left/joint_states')
+        lab.states = lab.speak(node_harness.JointState, '/left/joint_states')
         lab.commands = lab.speak(Float64MultiArray, '/left/effort_controller/commands')
         lab.references = lab.speak(Float64MultiArray, '/left/reference')
         lab.reports = lab.speak(diagnostics.DiagnosticArray, '/diagnostics')
@@ -65,8 +58,8 @@ def move(lab):
     angle = lab.stamp * 1e-9
     label = f'stamp:{lab.stamp}'
     lab.references.publish(array_message([0.0, angle + 0.25, 0.0], label))
-    lab.states.publish(joint_state(lab.stamp, [0.0, 2 * angle, angle, 2 * angle - 0.125],
-                                   names=NAMES))
+    angles = [0.0, 2 * angle, angle, 2 * angle - 0.125]
+    lab.states.publish(node_harness.joint_state(lab.stamp, angles, names=NAMES))
     lab.commands.publish(array_message([1.0, 2.0, 3.0], label))
     lab.spin()
 
@@ -160,7 +153,7 @@ def test_requests_reach_the_services_of_the_namespace(lab):
     def stop(_, response):
         response.success, response.message = True, 'FAULT: emergency stop by service'
         return response
-    lab.node.create_service(Trigger, '/left/plant/emergency_stop', stop)
+    lab.node.create_service(node_harness.Trigger, '/left/plant/emergency_stop', stop)
     with ThreadPoolExecutor(1) as pool:  # this thread answers
         def answered():
             future = pool.submit(ask, lab, '/api/call', {'name': 'emergency_stop'})
@@ -179,4 +172,4 @@ def test_without_a_controller_gains_are_a_sentence_and_the_end_is_clean(lab):
     status, answer = ask(lab, '/api/parameters')
     assert status == 503
     assert answer['reason'].startswith('/left/cascade_controller does not answer')
-    assert lab.view.signal(TERM) == 0
+    assert lab.view.signal(node_harness.TERM) == 0
