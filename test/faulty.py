@@ -82,9 +82,8 @@ def with_columns(recording, order, names=CHANNELS):
 
 def changed(recording, **functions):
     """Return a recording with channels changed by functions of (channel, time as a column)."""
-    return replace(recording, **{
-        name: function(getattr(recording, name), recording.time[:, None])
-        for name, function in functions.items()})
+    return replace(recording, **{name: function(getattr(recording, name), recording.time[:, None])
+                                 for name, function in functions.items()})
 
 
 def chosen(recording, share, burst=1):

@@ -27,10 +27,9 @@ GAINS = coverage.GAINS
 
 def axis(*, rigid=False, yields=tuple(YIELDS)):
     """Return an axis like link 2 of the paper, its stiffnesses farther apart."""
-    steady = (StribeckParams(static=[0.10697], coulomb=[0.09087], velocity=[0.07819],
-                             viscous=[0.00374]),
-              StribeckParams(static=[0.09470], coulomb=[0.08363], velocity=[0.05795],
-                             viscous=[0.00530]))
+    steady = (
+        StribeckParams(static=[0.10697], coulomb=[0.09087], velocity=[0.07819], viscous=[0.00374]),
+        StribeckParams(static=[0.09470], coulomb=[0.08363], velocity=[0.05795], viscous=[0.00530]))
     arm = ArmParams(kind='decoupled', mass=[0.0], length=[0.0], com=[0.0], inertia=[0.03],
                     motor_inertia=[0.005], stiffness=[np.inf if rigid else 1.5], damping=[0.0])
     friction = FrictionParams(forward=steady[0], backward=steady[1], attraction=[1.0],

@@ -66,9 +66,8 @@ class Robot:
         """Return the joint states; velocity of motor 1 and efforts at links are not measured."""
         q, nan = self.q, float('nan')
         efforts = [nan, self.torque[1], nan, -self.torque[0] / (CONSTANT * GEAR), nan]
-        return JointState(
-            name=NAMES, position=[nan, q[3], q[1] - OFFSET, -GEAR * q[2], q[0]],
-            velocity=[nan, self.dq[3], self.dq[1], nan, self.dq[0]], effort=efforts)
+        return JointState(name=NAMES, position=[nan, q[3], q[1] - OFFSET, -GEAR * q[2], q[0]],
+                          velocity=[nan, self.dq[3], self.dq[1], nan, self.dq[0]], effort=efforts)
 
 
 def main():

@@ -97,9 +97,8 @@ def test_warnings_of_numpy_stay_away_and_ours_are_sentences(monkeypatch, capsys)
         np.nanmean(np.full(2, np.nan))
         np.polyfit([1.0, 1.0], [1.0, 2.0], 1)
         warnings.warn('the bag has gaps', BagWarning, stacklevel=2)
-        worker = subprocess.run(
-            [sys.executable, '-c', 'import numpy; numpy.log(numpy.zeros(2))'],
-            capture_output=True, text=True, check=True)
+        worker = subprocess.run([sys.executable, '-c', 'import numpy; numpy.log(numpy.zeros(2))'],
+                                capture_output=True, text=True, check=True)
         print(worker.stderr, end='')
         return 0
 

@@ -53,8 +53,7 @@ def test_the_table_and_the_report_are_made(outcome):
     table = json.loads((out / 'table4.json').read_text())
     assert table
     mse = {mode: np.mean((recording.q_link - recording.reference[:, 0]) ** 2, axis=0)
-           for mode in MODES
-           for recording in [read_recording(out / 'bags' / f'sinusoid_{mode}')]}
+           for mode in MODES for recording in [read_recording(out / 'bags' / f'sinusoid_{mode}')]}
     assert np.all(mse['none'] > 3.0 * mse['gms'])
     for value in (*mse['none'], *mse['gms']):
         assert any(number == pytest.approx(value) for number in numbers_in(table))

@@ -144,8 +144,7 @@ def test_motor_names_may_be_left_out_of_a_rigid_robot(tmp_path):
     text = ROBOT.read_text().replace('stiffness: 1.5  ', 'stiffness: .inf')
     (tmp_path / 'named.yaml').write_text(text.replace(
         'motors: [joint1_motor, joint2_motor]', "motors: ['', '']"))
-    (tmp_path / 'bare.yaml').write_text(text.replace(
-        'motors: [joint1_motor, joint2_motor]', ''))
+    (tmp_path / 'bare.yaml').write_text(text.replace('motors: [joint1_motor, joint2_motor]', ''))
     assert load_robot(tmp_path / 'bare.yaml').motors == ('', '')
     plans = [read_plan([tmp_path / name, CONTROLLER, CONFIG / 'sinusoid.yaml'], duration=0.2)
              for name in ('named.yaml', 'bare.yaml')]

@@ -56,9 +56,8 @@ def plant(prefix, environment, tmp_path):
     setup = prefix.parent / 'local_setup.bash'
     executable = prefix / 'lib' / PACKAGE / 'plant_node'
     config = prefix / 'share' / PACKAGE / 'config'
-    command = [executable, '--ros-args', *(
-        word for name in ('robot', 'controller')
-        for word in ('--params-file', config / f'{name}.yaml'))]
+    command = [executable, '--ros-args', *(word for name in ('robot', 'controller')
+                                           for word in ('--params-file', config / f'{name}.yaml'))]
     output = tmp_path / 'output.txt'
     with open(output, 'w', encoding='utf-8') as stream:
         process = subprocess.Popen(

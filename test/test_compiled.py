@@ -40,10 +40,9 @@ def test_kernels_cached_for_one_arm_serve_no_other(tmp_path):
     its arrays: wrong numbers, or the end of the process.
     """
     for joints in (['1'], ['7'], ['7', '1']):
-        done = subprocess.run(
-            [sys.executable, '-c', ONE_AFTER_ANOTHER, *joints], check=False, text=True,
-            capture_output=True, timeout=300,
-            env=environment_of(NUMBA_CACHE_DIR=str(tmp_path), MALLOC_CHECK_='3'))
+        done = subprocess.run([sys.executable, '-c', ONE_AFTER_ANOTHER, *joints],
+                              check=False, text=True, capture_output=True, timeout=300,
+                              env=environment_of(NUMBA_CACHE_DIR=str(tmp_path), MALLOC_CHECK_='3'))
         assert done.returncode == 0, f'{joints}: {done.stderr}'
 
 

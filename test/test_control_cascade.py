@@ -105,8 +105,7 @@ def test_the_motor_subsystem_closes_as_equation_30(ideal_robot, gains, mode, tim
     rate = (sliding[2] - sliding[0]) / (2 * loop.step)
     damping = gains.kd_motor * sliding[1]
     tolerance = 2e-5 if mode != 'gms' else 0.1  # its derivatives are those of a filter
-    np.testing.assert_allclose(ideal_robot.arm.motor_inertia * rate, -damping,
-                               rtol=tolerance)
+    np.testing.assert_allclose(ideal_robot.arm.motor_inertia * rate, -damping, rtol=tolerance)
 
 
 def documented(row):

@@ -42,8 +42,7 @@ def state(k, names=('a', 'b', 'b_motor'), stamp=None):
     """Return state ``k``: position encodes name and sample."""
     stamp = k * PERIOD if stamp is None else stamp
     values = [100 * ord(name[0]) + (50 if name.endswith('motor') else 0) + k for name in names]
-    return stamp, cdr.pack_joint_states(
-        names, [stamp], [values], None, [[-v for v in values]])[0]
+    return stamp, cdr.pack_joint_states(names, [stamp], [values], None, [[-v for v in values]])[0]
 
 
 def make_recording(samples=40):
@@ -203,8 +202,7 @@ def test_one_joint_of_a_bag_has_its_own_columns_of_commands_and_references(tmp_p
 
 def test_states_of_other_machines_on_the_same_topic_are_passed_over(tmp_path):
     states = [state(k) for k in range(20)]
-    other = [(k * PERIOD + 5, cdr.pack_joint_states(
-        ['gripper'], [k * PERIOD + 5], [[1.0]])[0])
+    other = [(k * PERIOD + 5, cdr.pack_joint_states(['gripper'], [k * PERIOD + 5], [[1.0]])[0])
              for k in range(20)]
     mixed = [row for pair in zip(states, other, strict=True) for row in pair]
     recording = read_recording(write_bag(tmp_path / 'bag', mixed))
@@ -227,8 +225,7 @@ def test_a_command_belongs_to_the_state_whose_stamp_it_carries(tmp_path):
 def test_a_plain_command_belongs_to_the_last_state_before_it(tmp_path):
     commands = [(k * PERIOD + 400_000, cdr.pack_command([k, 0.0])) for k in (0, 1, 2, 5)]
     commands.append((11 * PERIOD, cdr.pack_command([77.0, 0.0])))
-    recording = read_recording(write_bag(tmp_path / 'bag', [state(k) for k in range(8)],
-                                         commands))
+    recording = read_recording(write_bag(tmp_path / 'bag', [state(k) for k in range(8)], commands))
     np.testing.assert_array_equal(
         recording.command[:, 0], [0, 1, 2, np.nan, np.nan, 5, np.nan, np.nan])
 
@@ -390,9 +387,8 @@ def packed(stamp, *rest):
 def test_phases_are_read_as_they_were_written_beside_a_recording(tmp_path):
     recording = Recording(time=2e-3 * np.arange(6), joints=('a',), source='x', q_link=0.0,
                           q_motor=0.0, tau_motor=0.0, command=0.0, reference=0.0)
-    phases = (Phase(0, 'approach', 'a', 's/approach', 0.0), Phase(3_000_000, 'sliding', 'a', 's',
-                                                                  0.1),
-              Phase(12_000_000, 'idle', '', '', 0.0))
+    phases = (Phase(0, 'approach', 'a', 's/approach', 0.0),
+              Phase(3_000_000, 'sliding', 'a', 's', 0.1), Phase(12_000_000, 'idle', '', '', 0.0))
     write_recording(tmp_path / 'bag', recording, start=7_000_000_000, phases=phases)
     assert np.array_equal(read_recording(tmp_path / 'bag').time, recording.time)
     both = read_experiment(tmp_path / 'bag')

@@ -465,9 +465,8 @@ def test_what_determines_keeps_limits_with_the_load_and_two_deviations_away(
         loads.append(loop.load)
         return one is believed or candidate.name == 'strokes'
     monkeypatch.setattr(separation.PlannedLoop, 'keeps', keeps_limits)
-    found = plan_determination(
-        robot, [replace(swings, operation=Operation(WEIGHT))], [('blocks', 'joint2')], gains,
-        LIMITS, period=PERIOD, duration=5.0)
+    found = plan_determination(robot, [replace(swings, operation=Operation(WEIGHT))],
+                               [('blocks', 'joint2')], gains, LIMITS, period=PERIOD, duration=5.0)
     assert [one.candidate.name for one in found.compared] == ['strokes']
     assert all(one is WEIGHT for one in loads)
 

@@ -16,8 +16,7 @@ import pytest
 @pytest.fixture(scope='module')
 def recording(ideal_robot, gains):
     """Return three seconds of the default robot, read without error."""
-    run = loop.run(ideal_robot, ideal_robot, gains, sinusoid([0.3, 0.2], 2.0),
-                   duration=3.0)
+    run = loop.run(ideal_robot, ideal_robot, gains, sinusoid([0.3, 0.2], 2.0), duration=3.0)
     q_link, dq_link, q_motor, dq_motor = np.moveaxis(run.measured, 1, 0)
     return Recording(joints=ideal_robot.joints, time=run.time, q_link=q_link, dq_link=dq_link,
                      q_motor=q_motor, dq_motor=dq_motor, tau_motor=run.applied,
@@ -55,9 +54,8 @@ def test_a_drift_goes_on_from_where_the_segment_begins(recording, ideal_robot, g
     drifting = affected(ideal_robot, 'joint1', 'stiffness_drift', -0.5, 12.0)
     soft = affected(ideal_robot, 'joint1', 'stiffness_error', -0.5)
     segment = segment_of(recording)._replace(begin=12.0)
-    expected, late, early = (
-        simulated(robot, ideal_robot, gains, segment._replace(begin=begin))
-        for robot, begin in ((soft, 0.0), (drifting, 12.0), (drifting, 0.0)))
+    expected, late, early = (simulated(robot, ideal_robot, gains, segment._replace(begin=begin))
+                             for robot, begin in ((soft, 0.0), (drifting, 12.0), (drifting, 0.0)))
     assert np.abs(late - expected).max() < 1e-9 < 1e-4 < np.abs(early - expected).max()
 
 

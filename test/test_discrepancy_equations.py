@@ -68,8 +68,7 @@ def test_what_is_kept_along_a_motion_is_that_of_its_own_torque(ideal_robot, gain
     for factor in (1.0, 1.2, 1.0, 1.5, 1.2):
         other = motion.with_torque(('times', factor), lambda torque, by=factor: by * torque)
         plain = make_motion(replace(motion.samples, command=factor * motion.samples.command))
-        np.testing.assert_array_equal(unexplained(other, constants),
-                                      unexplained(plain, constants))
+        np.testing.assert_array_equal(unexplained(other, constants), unexplained(plain, constants))
 
 
 def test_a_rotor_couples_through_a_rigid_joint_in_the_plant_as_in_the_fit(ideal_robot, gains):
@@ -123,8 +122,7 @@ def test_a_late_encoder_is_cleared_where_its_motor_is_quick(ideal_robot):
     late[:, 1] = 0.1 * np.sin(speed * (time - delay))
     robot = replace(ideal_robot, effects=tuple(effect_on(joint, 'encoder_skew', delay)
                                                for joint in ideal_robot.joints))
-    motion = motion_along(robot, time, np.repeat(late[:, :, None], 2, axis=2),
-                          np.zeros((2000, 2)))
+    motion = motion_along(robot, time, np.repeat(late[:, :, None], 2, axis=2), np.zeros((2000, 2)))
     constants = plant.constants_of(robot)
     states, second, _ = cleared(motion, drive_torque(motion, constants), motion.states,
                                 motion.second, constants)

@@ -127,8 +127,7 @@ def test_a_saturation_takes_all_that_is_beyond_its_limit(robot, gains):
     """Of a drive that gives half of what is beyond, a saturation would have to be smaller."""
     limit = 0.12
     saturation = affected(robot, 'joint2', 'actuator_saturation', limit)
-    whole, free = (driven_motion(one, gains, seed=1, duration=10.0)
-                   for one in (saturation, robot))
+    whole, free = (driven_motion(one, gains, seed=1, duration=10.0) for one in (saturation, robot))
     asked = free.samples.command.copy()
     asked[:, 1] += asked[:, 1] - np.clip(asked[:, 1], -limit, limit)
     for motion, half in ((whole, False), (free.with_torque('asked', lambda command: asked), True)):

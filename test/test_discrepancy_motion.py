@@ -97,7 +97,6 @@ def test_uneven_samples_with_true_stamps_are_no_effect(plant_kind, effects):
     recording = uneven_recording(replace(robot, effects=effects), tones, 3)
     result = find_discrepancy([recording], nominal, SearchOptions(most=2))
     assert result.verdict == (FOUND if effects else COMPLETE), result.words
-    assert [(one.effect, one.joint) for one in result.named] == [
-        spec.key for spec in effects]
+    assert [(one.effect, one.joint) for one in result.named] == [spec.key for spec in effects]
     for one, spec in zip(result.named, effects, strict=True):
         assert one.values[0].value == pytest.approx(spec.values[0], rel=0.05)

@@ -115,8 +115,7 @@ def test_an_effect_that_is_not_there_gains_nothing(clean, name, values):
 
 def test_a_model_gains_nothing_over_itself():
     """Where known parameters are at the end of what is plausible, or beyond, as well."""
-    likelihood = likelihood_of(
-        make_case('clean', 4, population='gaussian_beliefs', duration=20.0))
+    likelihood = likelihood_of(make_case('clean', 4, population='gaussian_beliefs', duration=20.0))
     state = retuned_of(likelihood, PLAUSIBLE)
     gain = gain_of(likelihood, state, state, np.ones(len(likelihood.groups.group)))
     assert abs(gain.nats) < 1.0 and not gain.is_real()

@@ -183,8 +183,7 @@ def test_an_answer_says_where_errors_are_noise_without_the_effects_as_well(named
     for share, words in ((0.9, 'at'), (1.2, 'below')):
         low = replace(gap, after=0.5 * gap.retuned, floor=share * gap.retuned)
         said = discrepancy_answer(replace(result, gap=low), tmp_path).sentence
-        assert (f'the residual torque, {words} its noise floor already, shrinks by 50 %'
-                in said)
+        assert (f'the residual torque, {words} its noise floor already, shrinks by 50 %' in said)
         assert 'both to about the noise floor' not in said
 
 
@@ -194,8 +193,7 @@ def test_a_model_that_lacks_nothing_is_described_alike_in_long_and_in_short(name
     _, result = named
     gap = replace(result.gap, floor=result.gap.after * (0.5 if loud else 1.0),
                   free_floor=result.gap.free_after)
-    none = replace(result, verdict=COMPLETE, findings=(), minor=(), unexplained=None,
-                   gap=gap)
+    none = replace(result, verdict=COMPLETE, findings=(), minor=(), unexplained=None, gap=gap)
     said = discrepancy_answer(none, tmp_path).sentence
     assert paragraph(none, (), ())[0].startswith(said)
     assert ('by a relevant amount, though its error exceeds the noise floor' in said) == loud
@@ -343,8 +341,7 @@ def test_an_effect_matters_that_other_recordings_do_not_touch(angle, stiffness, 
     result = find_discrepancy(recordings[:fitted], robot, SearchOptions(most=1),
                               holdout=recordings[fitted:])
     assert result.verdict == FOUND, result.words
-    assert [one.key for one in result.findings] == [one.key for one in result.added] == [
-        stop.key]
+    assert [one.key for one in result.findings] == [one.key for one in result.added] == [stop.key]
     assert 'The held-out motion hardly meets what was found' in result.words
 
 

@@ -124,8 +124,7 @@ def test_friction_hysteresis_gives_back_no_more_than_it_took(seed):
 def test_the_load_of_a_rigid_joint_is_what_its_link_takes(single_rigid, rotor):
     """Weight, inertia and friction of the link; what turns the rotor is not transmitted."""
     arm = ArmParams(kind='planar', mass=[0.5], length=[0.4], com=[0.2], inertia=[0.01],
-                    motor_inertia=[rotor], stiffness=[np.inf], damping=[0.0],
-                    gravity=[0.0, -9.81])
+                    motor_inertia=[rotor], stiffness=[np.inf], damping=[0.0], gravity=[0.0, -9.81])
     spec = effect_on('axis', 'load_friction', 0.2, 1e-9)
     robot = replace(single_rigid, arm=arm, effects=(spec,))
     state, work = plant.init(robot, [0.3]), plant.workspace(1)

@@ -24,8 +24,7 @@ def friction(robot):
 @pytest.fixture
 def maxwell(friction):
     """Return link 1 with F_s = F_c both ways: a Maxwell-slip (Iwan) model."""
-    level = replace(friction.of_joints([0]).forward, static=[0.1], coulomb=[0.1],
-                    viscous=[0.0])
+    level = replace(friction.of_joints([0]).forward, static=[0.1], coulomb=[0.1], viscous=[0.0])
     return FrictionParams(forward=level, backward=level, stiffness=friction.stiffness[[0]],
                           weight=friction.weight[[0]], attraction=[1.5])
 

@@ -228,8 +228,7 @@ def test_coupled_motors_need_an_arm_of_a_urdf():
 
 
 def test_a_load_needs_an_arm_of_a_urdf(tmp_path):
-    recording = with_conditions(experiment(rigid=True)[0], stated(
-        tmp_path, 'load: {mass: 2}\n'))
+    recording = with_conditions(experiment(rigid=True)[0], stated(tmp_path, 'load: {mass: 2}\n'))
     with pytest.raises(IdentificationError, match='needs an arm of a URDF'):
         identify([recording], axis(rigid=True))
     with pytest.raises(BagError, match='decoupled axes do not share'):

@@ -38,8 +38,7 @@ def hidden():
     """Return the robot as believed, the true arm, recordings without and with a load."""
     robot, arm, urdf = hidden_arm()
     bare = moved(urdf, robot.arm, 16.0, per_load=PER_LOAD)
-    heavy = moved(urdf, robot.arm, 16.0, seed=1, load=LOAD, per_load=PER_LOAD,
-                  warm=WARM)
+    heavy = moved(urdf, robot.arm, 16.0, seed=1, load=LOAD, per_load=PER_LOAD, warm=WARM)
     bare = replace(bare, tau_motor=SCALE * bare.tau_motor, operation=Operation(temperature='cold'))
     heavy = replace(heavy, tau_motor=SCALE * heavy.tau_motor + OFFSET,
                     q_link=heavy.q_link + ZERO, operation=Operation(LOAD, temperature='warm'))
@@ -47,8 +46,7 @@ def hidden():
 
 
 def with_unknown_load(recording):
-    return replace(recording, operation=recording.operation._replace(load=None,
-                                                                     load_unknown=True))
+    return replace(recording, operation=recording.operation._replace(load=None, load_unknown=True))
 
 
 @pytest.fixture(scope='module')
@@ -179,8 +177,7 @@ def test_discrepancy_takes_the_load_from_the_recording(hidden):
         heavy.tau_motor - OFFSET) / SCALE, q_link=heavy.q_link - ZERO)
     constants, motion = plant.constants_of(given), motion_of(true, given)
     left, bare = (np.sqrt(np.mean(unexplained(one, constants)[200:-200, :6] ** 2, axis=0))
-                  for one in (motion, replace(motion, samples=replace(
-                      motion.samples, load=None))))
+                  for one in (motion, replace(motion, samples=replace(motion.samples, load=None))))
     assert np.all(left[1:] < 0.3 * bare[1:]), (left, bare)  # the first joint is vertical
     again = null_readings(motion, constants)(np.random.default_rng(0))
     assert again.samples.load is motion.samples.load
@@ -226,8 +223,7 @@ def test_known_links_determine_an_unknown_load_of_one_recording(hidden):
     robot, arm, (bare, heavy) = hidden
     heavy = replace(heavy, tau_motor=(heavy.tau_motor - OFFSET) / SCALE,
                     q_link=heavy.q_link - ZERO)
-    found = fit_differences([with_unknown_load(heavy)],
-                            replace(robot, arm=arm)).loads[0]
+    found = fit_differences([with_unknown_load(heavy)], replace(robot, arm=arm)).loads[0]
     assert found.body.mass == pytest.approx(LOAD.mass, abs=0.1)
     np.testing.assert_allclose(found.body.com, LOAD.com, atol=2e-3)
     none = replace(bare, tau_motor=bare.tau_motor / SCALE, operation=Operation(load_unknown=True))

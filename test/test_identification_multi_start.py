@@ -71,8 +71,7 @@ class Flat(Rippled):
         one = super().evaluate(coordinates, felt, sharpness, floor)
         slope = np.ones(len(free))
         slope[numbers] = 1.0 - off ** 2
-        return replace(one, gradient=one.gradient * slope,
-                       curvature=one.curvature * slope ** 2)
+        return replace(one, gradient=one.gradient * slope, curvature=one.curvature * slope ** 2)
 
 
 class Blind(Rippled):

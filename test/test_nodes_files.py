@@ -58,9 +58,8 @@ def outcomes(tmp_path_factory):
                 start, 'whole numbers', 'plant_node',
                 'arm: {joint1: {mass: 2}}\nrate: 500\nfriction: {joint1: {stiffness: '
                 '[2, 6, 7, 64, 11, 111]}}\nuse_sim_time: false', duration=0.02)
-            running['empty lists'] = pool.submit(
-                start, 'empty lists', 'plant_node', 'hold_services: []\nmotors: []',
-                duration=0.02)
+            running['empty lists'] = pool.submit(start, 'empty lists', 'plant_node',
+                                                 'hold_services: []\nmotors: []', duration=0.02)
             return {case: result.result() for case, result in running.items()}
 
 

@@ -151,8 +151,7 @@ def test_nothing_is_sent_ahead_that_is_no_number():
 def test_nothing_is_sent_ahead_for_a_frozen_encoder_or_without_reference():
     chain = Chain().settled()
     frozen = chain.plant.measured.q_link[0]
-    chain.spoil = lambda fields: (fields[0].__setitem__(0, frozen),
-                                  fields[1].__setitem__(0, 0.5))
+    chain.spoil = lambda fields: (fields[0].__setitem__(0, frozen), fields[1].__setitem__(0, 0.5))
     for _ in range(100):
         ahead, came = chain.tick()
         if chain.follower.encoders.frozen:

@@ -123,8 +123,7 @@ def test_helpers_of_packages_that_are_missing_are_warnings(start, monkeypatch, c
 def test_helpers_come_first_and_the_loop_ends_with_any_of_its_nodes(name, start):
     found = start(name, rviz='true', record='bag')
     assert sorted(list(found)[:3]) == sorted([*SHOWN, 'gms_flex'])
-    for process in (*(found[node] for node in LOOP),
-                    start(name, composed='true')['loop_node']):
+    for process in (*(found[node] for node in LOOP), start(name, composed='true')['loop_node']):
         assert type(at_exit(process, 0)).__name__ == 'Shutdown'
         assert at_exit(process, -9, ending=True) is None  # it was too slow to end
         with pytest.raises(RuntimeError, match='ended with exit code -9'):  # which launch reports

@@ -63,8 +63,7 @@ def test_effort_of_a_motor_is_the_torque_applied_in_the_sample_before(loop):
     loop.more(loop.states, 100)
     commands = {stamp_of(message): message for message in loop.commands}
     efforts = [(commands[stamp_of(before)], after)
-               for before, after in pairwise(loop.states[start:])
-               if stamp_of(before) in commands]
+               for before, after in pairwise(loop.states[start:]) if stamp_of(before) in commands]
     same = [list(command.data) == pytest.approx(list(state.effort[2:]), abs=1e-12)
             for command, state in efforts]
     assert len(same) > 90 and np.mean(same) > 0.5  # a busy machine may answer some too late

@@ -140,8 +140,7 @@ def test_a_fresh_command_acts_and_ends(plant):
 def test_stamps_go_on_in_whole_periods_through_all_of_this(plant):
     plant.more(plant.states, 20)  # where this test alone is repeated
     stamps = [stamp_of(state) for state in plant.states]
-    assert {later - sooner for sooner, later in pairwise(stamps)} == {
-        5_000_000}
+    assert {later - sooner for sooner, later in pairwise(stamps)} == {5_000_000}
 
 
 @pytest.fixture(scope='module')
@@ -177,8 +176,7 @@ def test_lockstep_obeys_plain_commands_and_keeps_the_clock_at_100_hz(stepped):
     stepped.until(lambda: clock_of(stepped.clock[-1]) >= begin + 90_000_000)
     times = [clock_of(message) for message in stepped.clock]
     assert times[0] == 0
-    assert {later - sooner for sooner, later in pairwise(times)} == {
-        10_000_000}
+    assert {later - sooner for sooner, later in pairwise(times)} == {10_000_000}
 
 
 def clock_of(message):

@@ -49,8 +49,7 @@ def test_the_charts_over_time_carry_the_data_of_the_identification(tmp_path):
     charts, arrays = json.loads(page.data)['charts'], page.arrays()
     result = made.joints[0]
     lines = {line['label']: arrays[line['y']] for chart in charts for line in chart['series']}
-    np.testing.assert_array_equal(np.isfinite(lines['model, held out']),
-                                  result.traces[0].held_out)
+    np.testing.assert_array_equal(np.isfinite(lines['model, held out']), result.traces[0].held_out)
 
 
 def test_pictures_show_what_was_fitted():
@@ -127,8 +126,7 @@ def test_the_terminal_table_is_narrow_and_says_what_is_known():
 
 def test_an_unknown_interval_is_not_made_up():
     made = identification(1)
-    first = made.joints[0].estimates[0]._replace(
-        interval=Interval(np.nan, np.nan))
+    first = made.joints[0].estimates[0]._replace(interval=Interval(np.nan, np.nan))
     result = replace(made.joints[0], estimates=(first,))
     row = identification_text(replace(made, joints=(result,))).splitlines()
     row = next(line for line in row if line.startswith('forward.static'))

@@ -44,8 +44,7 @@ def test_an_ideal_encoder_reads_angles_and_rates_as_they_are():
     rng = np.random.default_rng(1)
     angles, rates = rng.standard_normal((20, 2)), rng.standard_normal((20, 2))
     read = measure(angles, EncoderParams(), rates=rates)
-    np.testing.assert_array_equal(
-        read, np.stack([angles, rates, 2 * angles, 3 * rates], axis=1))
+    np.testing.assert_array_equal(read, np.stack([angles, rates, 2 * angles, 3 * rates], axis=1))
 
 
 @pytest.mark.parametrize('cutoff', [10.0, 50.0, 200.0])

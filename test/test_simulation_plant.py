@@ -127,7 +127,6 @@ def test_a_run_repeats_bit_by_bit_and_its_seed_is_the_noise(robot, gains):
 
 
 def test_the_applied_torque_of_a_sample_is_the_command_of_the_one_before(ideal_robot, gains):
-    run = loop.run(ideal_robot, ideal_robot, gains, sinusoid([1.0, 1.0], 6.0),
-                   duration=0.5)
+    run = loop.run(ideal_robot, ideal_robot, gains, sinusoid([1.0, 1.0], 6.0), duration=0.5)
     np.testing.assert_allclose(run.applied[1:], run.command[:-1], rtol=1e-13)
     np.testing.assert_array_equal(run.applied[0], [0.0, 0.0])

@@ -31,10 +31,9 @@ COUNT = 1e-9           # so small that readings are as exact as without [rad]
 
 def arm_of(kind, n):
     """Return a rigid arm of n unlike links."""
-    return ArmParams(kind=kind, mass=np.full(n, 0.8), length=np.full(n, 0.3),
-                     com=np.full(n, 0.2), inertia=np.linspace(0.03, 0.02, n),
-                     motor_inertia=np.full(n, 0.01), stiffness=np.full(n, np.inf),
-                     damping=np.zeros(n))
+    return ArmParams(kind=kind, mass=np.full(n, 0.8), length=np.full(n, 0.3), com=np.full(n, 0.2),
+                     inertia=np.linspace(0.03, 0.02, n), motor_inertia=np.full(n, 0.01),
+                     stiffness=np.full(n, np.inf), damping=np.zeros(n))
 
 
 def params_of(record):

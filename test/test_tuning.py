@@ -263,8 +263,7 @@ def test_an_unstable_loop_is_not_simulated_and_the_way_out_is_said(tmp_path, axi
 
 
 def test_a_torque_limit_that_is_met_is_reported_by_compensation(tmp_path, capsys):
-    assert main(['tune', '--torque-limit', '0.1', '--bandwidth', '4', '--out',
-                 str(tmp_path)]) == 1
+    assert main(['tune', '--torque-limit', '0.1', '--bandwidth', '4', '--out', str(tmp_path)]) == 1
     reported = [line.partition(';')[0].partition('torque limit for ')
                 for line in capsys.readouterr().out.splitlines() if 'at the torque limit' in line]
     where = [(joint, share.partition(' % ')[2]) for joint, _, share in reported]

@@ -260,8 +260,7 @@ def test_a_change_with_the_token_of_the_page_is_passed_on(served):
     ({'X_Token': None, 'Sec_Fetch_Site': 'cross-site'}, 'a page of another site may not'),
     ({'X_Token': None, 'Host': 'evil.example'}, "this server is not 'evil.example'")])
 def test_a_change_from_elsewhere_is_refused(served, headers, reason):
-    given = {name: served.token if value is None else value
-             for name, value in headers.items()}
+    given = {name: served.token if value is None else value for name, value in headers.items()}
     for path, what in (('/api/parameters', CHANGE), ('/api/call', '{"name": "stop"}')):
         status, _, body = ask(served, 'POST', path, what, **given)
         assert status == 403 and reason in json.loads(body)['reason']
@@ -322,9 +321,8 @@ def test_only_names_of_this_machine_lead_here(asked, good):
 
 
 def test_the_tool_prints_its_address_and_ends_with_0(tmp_path):
-    process = subprocess.Popen(
-        [*TOOL, 'view', str(write_bag(tmp_path / 'bag')), '--port', '0'], text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen([*TOOL, 'view', str(write_bag(tmp_path / 'bag')), '--port', '0'],
+                               text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     url = process.stdout.readline().split()[0]
     connection = http.client.HTTPConnection(url.split('/')[2], timeout=20)
     connection.request('GET', '/api/session')

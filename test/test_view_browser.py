@@ -158,10 +158,9 @@ def test_an_arm_in_space_is_a_figure_that_turns_with_mouse_and_keys(browser):
     robot = load_robot(share_path() / 'examples' / 'industrial_arm' / 'robot.yaml')
     time = np.arange(200) * PERIOD
     angles = 0.5 * np.sin(time[:, None] * np.arange(1, 7) + 0.3)
-    recording = Recording(
-        joints=tuple(robot.joints), time=time, source='made up', q_motor=angles + 1e-3,
-        reference=np.repeat(angles[:, None], 5, axis=1),
-        **dict.fromkeys(('q_link', 'command', 'friction_hat'), angles))
+    recording = Recording(joints=tuple(robot.joints), time=time, source='made up',
+                          q_motor=angles + 1e-3, reference=np.repeat(angles[:, None], 5, axis=1),
+                          **dict.fromkeys(('q_link', 'command', 'friction_hat'), angles))
     with ViewServer(BagView(recording, scene_of(robot))) as server:
         browser.errors.clear()
         browser.screen(1280, 860)
