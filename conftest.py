@@ -27,8 +27,7 @@ NODES = ('nodes', 'demo', 'colcon', 'sros2', 'view_browser')  # in the names of 
 # bound; not those of a process without nodes, of bits that agree, of files that are refused
 REPEATED = ('nodes_', 'view_live', 'faults', 'soak')
 ONCE = [f'test_nodes_{name}' for name in (
-    'experiment_watch', 'files', 'following', 'foresight', 'joint_trajectory', 'launch',
-    'lockstep', 'scheduling', 'sros2', 'trajectory')]
+    'files', 'following', 'foresight', 'launch', 'lockstep', 'scheduling', 'sros2', 'trajectory')]
 WORKER = os.environ.get('PYTEST_XDIST_WORKER', '')
 NODES_APART = 3  # processes of tests, from which on the last has the nodes
 
@@ -117,10 +116,10 @@ WITHOUT_NODES = {
     'discrepancy_workflow': 60, 'identification_unseen_links': 36, 'results': 34,
     'discrepancy_faults': 28, 'recovery': 21,
     'effects_learned': 16, 'identification_believed_arm': 15, 'speed': 15, 'real_machines': 15,
-    'tutorials': 14, 'cli_identify': 14, 'identification_criterion': 13, 'tuning_study': 12,
+    'tutorials': 14, 'cli_identify': 14, 'identification_rows': 16, 'tuning_study': 12,
     'design': 12, 'schema_urdf_arm': 11, 'discrepancy_unseen_links': 10, 'hidden_score': 10,
     'discrepancy_validation': 9, 'identification_currents': 9, 'identification_checks': 9,
-    'cli': 9, 'discrepancy_noise': 8, 'discrepancy_fast_ripple': 8, 'discrepancy_motion': 7,
+    'cli': 9, 'discrepancy_noise': 9, 'discrepancy_fast_ripple': 8, 'discrepancy_motion': 12,
     'identification_arm': 7, 'tuning': 6, 'cli_discrepancy': 6}
 
 

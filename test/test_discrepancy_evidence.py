@@ -6,15 +6,8 @@ from types import SimpleNamespace
 
 from core_runs import affected, effect_on
 from discrepancy_runs import driven_motion, retuned_of
-from gms_flex_control.discrepancy.evidence import (
-    credible,
-    doubted,
-    is_of_other_size,
-    log_determinant,
-    posterior,
-    State,
-    state_of,
-)
+from gms_flex_control.discrepancy import evidence
+from gms_flex_control.discrepancy.evidence import doubted, log_determinant, posterior, state_of
 from gms_flex_control.discrepancy.fitting import extended
 from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums
 from gms_flex_control.effects.base import Scales, Travel
@@ -135,13 +128,14 @@ def test_a_saturation_takes_all_that_is_beyond_its_limit(robot, gains):
         model = likelihood.fitted(saturation, np.zeros(len(likelihood.sd)))
         columns = extended(likelihood, model, retuned_of(likelihood)[1])
         assert np.mean(np.abs(motion.samples.command[:, 1]) > limit) > 0.05
-        assert is_of_other_size(likelihood, model, columns, 50) == half
+        assert evidence.is_of_other_size(likelihood, model, columns, 50) == half
 
 
-def state(evidence, *effects):
+def state(likely, *effects):
     """Return a State of effects (name, joint) with 2 log evidence."""
     specs = tuple(effect_on(joint, name) for name, joint in effects)
-    return State(SimpleNamespace(robot=SimpleNamespace(effects=specs)), None, None, evidence)
+    robot = SimpleNamespace(effects=specs)
+    return evidence.State(SimpleNamespace(robot=robot), None, None, likely)
 
 
 A, B = ('a', 'joint1'), ('b', 'joint2')
@@ -173,7 +167,7 @@ def test_the_likeliest_model_has_even_odds_with_effects_that_matter_in_no_predic
     ((0.94, 0.02, 0.02, 0.02), 0.95, 2), ((1.0,), 0.95, 1)])
 def test_the_credible_set_is_the_smallest_that_holds_enough(shares, mass, count):
     models = [(frozenset({(str(k), 'j')}), share) for k, share in enumerate(shares)]
-    chosen = credible(models, mass)
+    chosen = evidence.credible(models, mass)
     assert chosen == models[:count]
     assert sum(shares[:count]) >= mass > sum(shares[:count - 1])
 

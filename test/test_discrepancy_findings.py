@@ -36,13 +36,9 @@ def shares_of(instead, beside, left=None):
 
 
 def test_a_function_of_more_evidence_in_its_place_makes_an_effect_a_resemblance():
-    """It has what the effect has, and 500 beside."""
+    """It has what the effect has, and 500 beside; one of as much beside explains what is left."""
     assert shares_of({'low_speed_friction': 1500.0}, 500.0)['low_speed_friction'] == (
         pytest.approx(1000.0 / 1500.0))
-
-
-def test_a_function_with_as_much_beside_an_effect_does_not_take_its_place():
-    """What it explains is something else: the ripple explains its own part."""
     assert shares_of({'torque_ripple': 31.0}, 30.0)['torque_ripple'] > RESEMBLES
 
 
@@ -83,26 +79,33 @@ class Known(HeldOut):
         return state.errors
 
 
-def test_an_effect_is_written_beside_known_parameters_as_given(monkeypatch):
+@pytest.fixture
+def models(monkeypatch):
+    """Return a function that says which State a model is, as given and as before."""
+    def known(as_given, as_before=None):
+        monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): (
+            as_given(state) if callable(as_given) else as_given))
+        monkeypatch.setattr(workflow, 'as_before', lambda likelihood, state, before: as_before)
+    return known
+
+
+def test_an_effect_is_written_beside_known_parameters_as_given(models):
     """Re-tuning b lessens its torque and spoils its free runs: that says nothing of a's effect."""
     effect = ('shear_thinning', 'a')
     given, tuned = state_of_errors((1.0, 1.0), (1.0, 1.0)), state_of_errors((1.0, 0.3), (1.0, 3.0))
     best = state_of_errors((0.5, 0.3), (0.5, 3.0), effect)
     beside = state_of_errors((0.5, 1.0), (0.5, 1.0), effect)
-    monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): (
-        given if state is tuned else beside))
-    monkeypatch.setattr(workflow, 'as_before', lambda likelihood, state, before: best)
+    models(lambda state: given if state is tuned else beside, best)
     assert written_of(tuned, best, effect) == (beside, given)
 
 
-def test_an_effect_that_held_out_data_do_not_touch_is_written(monkeypatch):
+def test_an_effect_that_held_out_data_do_not_touch_is_written(models):
     """Parameters fitted with it predict free runs worse by chance; those without it do not."""
     effect = ('end_stop', 'a')
     given, tuned = state_of_errors((1.0, 1.0), (1.5, 1.5)), state_of_errors((0.9, 0.9), (1.0, 1.0))
     best = state_of_errors((0.9, 0.9), (1.1, 1.1), effect)
     untouched = state_of_errors((0.9, 0.9), (1.0, 1.0), effect)
-    monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): given)
-    monkeypatch.setattr(workflow, 'as_before', lambda likelihood, state, before: untouched)
+    models(given, untouched)
     assert written_of(tuned, best, effect) == (untouched, tuned)
 
 
@@ -128,12 +131,12 @@ def test_an_effect_beside_other_parameters_explains_what_was_fitted(
 
 @pytest.mark.parametrize(('left', 'is_taken'), [(0.76, False), (0.5, True)])
 def test_what_resembles_the_cause_explains_more_than_it_leaves_of_the_better(
-        monkeypatch, left, is_taken):
+        models, left, is_taken):
     """Re-tuning makes the model worse: beside that, what explains 10 % would explain most."""
     given, tuned = state_of_errors((0.8, 0.8), (1.0, 1.0)), state_of_errors((2.2, 2.2), (1.0, 1.0))
     ripple = state_of_errors((left, left), (0.9, 0.9), ('torque_ripple', 'a'),
                              ('torque_ripple', 'b'))
-    monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): given)
+    models(given)
     written, _ = written_of(tuned, tuned, None, ripple)
     assert written is (ripple if is_taken else given)
 
@@ -141,12 +144,12 @@ def test_what_resembles_the_cause_explains_more_than_it_leaves_of_the_better(
 @pytest.mark.parametrize(('beside', 'widely', 'is_taken'), [
     (0.9, True, True), (0.5, True, False), (0.9, False, False)])
 def test_what_stands_beside_a_named_effect_explains_most_of_what_that_leaves(
-        monkeypatch, beside, widely, is_taken):
+        models, beside, widely, is_taken):
     """And acts widely."""
     skew, ripple = ('encoder_skew', 'a'), ('torque_ripple', 'a')
     given, named, both = (state_of_errors((torque, 0.1), (1.0, 1.0), *effects)
                           for torque, *effects in ((1.0,), (beside, skew), (0.4, skew, ripple)))
-    monkeypatch.setattr(workflow, 'as_given', lambda likelihood, state, nuisances, but=(): given)
+    models(given)
     written, _ = written_of(given, named, skew, both, alone=named, widely=widely)
     assert written is (both if is_taken else named)
 

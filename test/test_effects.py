@@ -151,6 +151,17 @@ def run_compiled(name, values, signals, joint=1, memory=None, dt=DT):
     return out
 
 
+def along(name, values, given, inputs, taken=None, dt=DT):
+    """Return a signal of the second joint along another's ``inputs`` (T,), or the same one."""
+    memory, found = np.zeros(table.MEMORY_SIZE), []
+    for value in inputs:
+        signals = np.zeros((3, sig.WIDTH))
+        signals[1, given] = value
+        out = run_compiled(name, values, signals, memory=memory, dt=dt)
+        found.append(out[1, given if taken is None else taken])
+    return np.array(found)
+
+
 def test_every_effect_of_the_catalogue_has_its_equation_here():
     """A new term needs an entry in EQUATIONS, so that it is never only believed."""
     assert sorted(EQUATIONS) == TERMS
@@ -236,28 +247,19 @@ def test_an_encoder_that_reads_rates_reads_those_of_the_angles_it_reads(ideal_ro
 @pytest.mark.parametrize('substep', [DT, 2e-3])
 def test_a_lag_follows_a_step_exponentially(substep):
     """Its mean over each step, whatever the step: the end of a step would come too early."""
-    memory, lag = np.zeros(table.MEMORY_SIZE), 0.01
-    signals = np.zeros((3, sig.WIDTH))
-    signals[1, sig.TORQUE] = 0.5
-    for k in range(300):
-        begin, end = k * substep, (k + 1) * substep
-        gone = lag / substep * (np.exp(-begin / lag) - np.exp(-end / lag))
-        out = run_compiled('actuator_lag', [lag], signals, memory=memory, dt=substep)
-        assert out[1, sig.TORQUE] == pytest.approx(0.5 * (1.0 - gone), rel=1e-9)
+    lag, edges = 0.01, np.arange(301) * substep
+    found = along('actuator_lag', [lag], sig.TORQUE, np.full(300, 0.5), dt=substep)
+    gone = -lag / substep * np.diff(np.exp(-edges / lag))
+    np.testing.assert_allclose(found, 0.5 * (1.0 - gone), rtol=1e-9)
 
 
 @pytest.mark.parametrize('delay', [0.0031, 0.0117, 0.02])
 @pytest.mark.parametrize('substep', [DT, 2e-3])
 def test_a_delay_gives_every_held_command_later(delay, substep):
     """The mean over each substep of the held commands shifted, whatever the substep."""
-    rng, memory = np.random.default_rng(1), np.zeros(table.MEMORY_SIZE)
-    period, held = 2e-3, rng.standard_normal(60)
-    given = []
-    for k in range(round(60 * period / substep)):
-        signals = np.zeros((3, sig.WIDTH))
-        signals[1, sig.TORQUE] = held[int((k + 0.5) * substep / period)]
-        given.append(run_compiled('input_delay', [delay], signals, memory=memory,
-                                  dt=substep)[1, sig.TORQUE])
+    period, held = 2e-3, np.random.default_rng(1).standard_normal(60)
+    given = along('input_delay', [delay], sig.TORQUE, np.repeat(held, round(period / substep)),
+                  dt=substep)
     edges = np.arange(len(given) + 1) * substep - delay
     integral = np.interp(edges, np.arange(61) * period, np.cumsum([0.0, *held]) * period)
     np.testing.assert_allclose(given, np.diff(integral) / substep, atol=1e-11)
@@ -265,14 +267,8 @@ def test_a_delay_gives_every_held_command_later(delay, substep):
 
 def test_hysteresis_yields_at_its_force_and_springs_back():
     """Up: force / yield per radian, then flat; back: the full slope again."""
-    memory, values = np.zeros(table.MEMORY_SIZE), [0.01, 0.004]
     torsion = np.concatenate([np.linspace(0, 0.01, 101), np.linspace(0.01, 0.002, 81)[1:]])
-    torque = []
-    for e in torsion:
-        signals = np.zeros((3, sig.WIDTH))
-        signals[1, sig.TORSION] = e
-        torque.append(run_compiled('spring_hysteresis', values, signals,
-                                   memory=memory)[1, sig.SPRING])
+    torque = along('spring_hysteresis', [0.01, 0.004], sig.TORSION, torsion, sig.SPRING)
     up = np.minimum(2.5 * torsion[:101], 0.01)
     down = np.maximum(0.01 - 2.5 * (0.01 - torsion[101:]), -0.01)
     np.testing.assert_allclose(torque, np.concatenate([up, down]), atol=1e-14)

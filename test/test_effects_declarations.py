@@ -24,8 +24,16 @@ SCALES = Scales(friction=0.1, torque=0.5, spring=0.3, torsion=0.2, speed=0.5, in
 
 @pytest.mark.parametrize('name', registry.names())
 def test_what_an_effect_declares_is_consistent(ideal_robot, name):
-    """Mutual exclusion, bounds of the search within those of the model, usual sizes in them."""
+    """
+    Mutual exclusion, bounds of the search within those of the model, usual sizes in them.
+
+    And what it shows against and is confused with.
+    """
     kind = registry.find(name)
+    assert kind.evidence in VARIABLES
+    assert kind.discriminated_by and not kind.discriminated_by.endswith('.')
+    for other in kind.similar:
+        assert other != name and name in registry.find(other).similar
     for rigid in (False, True):
         for other in kind.excludes(rigid):
             assert other != name and name in registry.find(other).excludes(rigid)
@@ -40,15 +48,6 @@ def test_what_an_effect_declares_is_consistent(ideal_robot, name):
     assert not (kind.whole_arm and kind.replaces)
     if issubclass(kind, Term) and kind.stage == Stage.SENSOR:  # torque has a time as well
         assert kind.needs_link_encoder or name == 'recording_delay'
-
-
-@pytest.mark.parametrize('name', registry.names())
-def test_an_effect_says_what_it_shows_against_and_what_it_is_confused_with(name):
-    kind = registry.find(name)
-    assert kind.evidence in VARIABLES
-    assert kind.discriminated_by and not kind.discriminated_by.endswith('.')
-    for other in kind.similar:
-        assert other != name and name in registry.find(other).similar
 
 
 @pytest.mark.parametrize('name', registry.names())
