@@ -199,11 +199,3 @@ def test_what_is_fitted_is_not_given_again_by_another_path_nor_as_a_copy(
         error = capsys.readouterr().err
         assert 'is given twice' in error and error.count('\n') == 1
     assert not (tmp_path / 'out').exists()
-
-
-def test_the_model_one_believes_in_is_not_overwritten(folder, capsys):
-    before = (folder / 'robot.yaml').read_bytes()
-    assert main(['discrepancy', str(folder / 'bag'), '--robot', str(folder / 'robot.yaml'),
-                 '--out', str(folder)]) == 2
-    assert 'would be overwritten' in capsys.readouterr().err
-    assert (folder / 'robot.yaml').read_bytes() == before

@@ -175,12 +175,6 @@ def test_friction_that_varies_with_the_angle_is_not_called_friction_by_load(orde
     assert fitted(varying(pendulum(), 0.03, order, phase)).per_load == 0.0
 
 
-def test_no_ripple_is_made_up_where_there_is_none():
-    recorded = pendulum()
-    arm_fit = estimate_arm([recorded], rigid_joints(recorded.joints))
-    assert arm_fit.joints[0].ripple is None and not arm_fit.robot.effects
-
-
 def planar_arm(**changes):
     """Return a robot of two rigid joints in a vertical plane."""
     fields = {'mass': [2.0, 1.2], 'length': [0.4, 0.0], 'com': [0.15, 0.2],

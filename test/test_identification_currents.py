@@ -174,11 +174,6 @@ def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, text, sentence):
     assert 'recording.yaml:' in str(caught.value)
 
 
-def test_a_constant_of_no_joint_is_refused(amperes, tmp_path):
-    with pytest.raises(ConfigError, match="names 'joint2'"):
-        with_conditions(amperes, stated(tmp_path, 'torque_constant: {joint2: 1.0}\n'))
-
-
 @pytest.fixture
 def wrist():
     """Return a recording of three joints, of the first no torque, of the second one lost."""

@@ -67,22 +67,6 @@ def test_steady_friction_in_mujoco_is_the_stribeck_curve(robot, rate):
     assert found == pytest.approx(-steady_friction(np.array([rate]), axis.friction)[0], rel=1e-3)
 
 
-@pytest.mark.parametrize('rigid', [True, False])
-def test_a_linear_axis_slides(robot, rigid):
-    """Under a force of nothing else than its spring it moves a mass, along a line."""
-    arm = replace(robot.arm, kind='decoupled', axes='linear', mass=[0.0, 0.0], com=[0.0, 0.0],
-                  stiffness=[np.inf, np.inf] if rigid else robot.arm.stiffness)
-    motors = ('', '') if rigid else robot.motors
-    library, model, data = loaded(replace(robot, arm=arm, motors=motors))
-    assert np.all(model.jnt_type == library.mjtJoint.mjJNT_SLIDE)
-    mass = np.zeros((model.nv, model.nv))
-    library.mj_forward(model, data)
-    library.mj_fullM(model, data, mass)
-    of_links = arm.inertia + rigid * arm.motor_inertia
-    np.testing.assert_allclose(np.diag(mass), of_links if rigid else [
-        *of_links, *arm.motor_inertia], rtol=1e-6)
-
-
 def test_the_blocks_yield_one_by_one(robot):
     """A slow displacement loads each block up to its level, and a return unloads it: Eq. (2)."""
     axis = axis_of(robot)
@@ -129,15 +113,20 @@ def test_a_step_comes_late_lagged_scaled_and_limited(robot):
     assert np.mean(np.subtract(found, reported)) == pytest.approx(0.0, abs=3e-5)
 
 
+SLIDES = {'kind': 'decoupled', 'axes': 'linear', 'mass': [0.0, 0.0], 'com': [0.0, 0.0]}
+
+
 @pytest.mark.parametrize('changes', [
     {}, {'offset': [0.4, -0.9], 'gravity': 9.81}, {'stiffness': [np.inf, 1.5]},
-    {'kind': 'decoupled', 'gravity': 3.0}])
+    {'kind': 'decoupled', 'gravity': 3.0}, SLIDES, SLIDES | {'stiffness': [np.inf, np.inf]}])
 def test_inertia_and_gravity_in_mujoco_are_those_of_the_arm(robot, changes):
     arm = replace(robot.arm, **changes)
     motors = tuple('' if rigid else name for rigid, name in zip(
         arm.rigid, robot.motors, strict=True))
     one, q = replace(robot, arm=arm, motors=motors), np.array([0.3, 1.1])
     library, model, data = loaded(one)
+    assert set(model.jnt_type) == {library.mjtJoint.mjJNT_SLIDE if arm.axes == 'linear'
+                                   else library.mjtJoint.mjJNT_HINGE}
     data.qpos[[model.joint(name).qposadr[0] for name in one.joints]] = q
     library.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
