@@ -20,7 +20,7 @@ def start(lab, name, number='', **parameters):
                      trajectory__autostart=True, **parameters)
 
 
-@pytest.mark.parametrize('name', THREE)
+@pytest.mark.parametrize('name', ['plant_node', 'trajectory_node'])
 def test_of_two_that_start_at_once_one_is_left(tmp_path, name):
     with Lab(tmp_path) as lab:
         both = [start(lab, name, number) for number in 'ab']
