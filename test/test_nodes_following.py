@@ -13,16 +13,19 @@ import pytest
 
 following = pytest.importorskip('gms_flex_control.nodes.following')
 messages = pytest.importorskip('gms_flex_control.nodes.messages')
+trajectory_msgs = pytest.importorskip('trajectory_msgs.msg')
+joint_trajectory = pytest.importorskip('gms_flex_control.nodes.joint_trajectory')
+reference_motion = pytest.importorskip('gms_flex_control.nodes.reference_motion')
+experiment_watch = pytest.importorskip('gms_flex_control.nodes.step_runner')
 wire = pytest.importorskip('bench.faults.wire')
-Reference, References, Handover = (following.Reference, following.References,
-                                   following.Handover)
+Reference, Handover = following.Reference, following.Handover
 NS, PERIOD = 10**9, 2_000_000
 MOTION = np.array([[0.5, -0.2], [0.4, 0.1], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
 
 
 def lost_at(hold=1.0, relax=0.5):
     """Return References whose last motion was for the state at time 0."""
-    kept = References(0.1, hold, relax)
+    kept = following.References(0.1, hold, relax)
     kept.keep(0, Reference('motion', MOTION))
     return kept
 
@@ -125,9 +128,6 @@ def test_effort_that_is_not_measured_may_be_nan():
     assert list(taken.q_motor) == [0.3, 0.4]
 
 
-trajectory_msgs = pytest.importorskip('trajectory_msgs.msg')
-joint_trajectory = pytest.importorskip('gms_flex_control.nodes.joint_trajectory')
-reference_motion = pytest.importorskip('gms_flex_control.nodes.reference_motion')
 JOINTS = ('a', 'b')
 SECOND = 1_000_000_000
 
@@ -232,8 +232,6 @@ def test_a_goal_that_makes_no_sense_is_refused(wrong, reason):
     with pytest.raises(messages.RefusedError, match=reason):
         goal(**wrong)
 
-
-experiment_watch = pytest.importorskip('gms_flex_control.nodes.step_runner')
 
 CONFIG = Path(__file__).parents[1] / 'config'
 DEMO = CONFIG.parent / 'bench' / 'demos' / 'identification.yaml'
