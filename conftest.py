@@ -175,6 +175,13 @@ def arm(robot, gains):
     return robot, gains
 
 
+@pytest.fixture
+def lab(tmp_path):
+    """Yield a Lab of node processes in an empty folder."""
+    with pytest.importorskip('node_harness').Lab(tmp_path) as running:
+        yield running
+
+
 @pytest.fixture(scope='module')
 def browser(tmp_path_factory):
     """Yield a Browser; skip where there is no Chromium that runs."""

@@ -77,25 +77,24 @@ def test_lockstep_in_one_process_is_the_simulation_to_the_last_bit(tmp_path):
     assert_equal(driven, simulated)
 
 
-def test_a_recorder_interrupts_no_loop_and_wakes_it_seldom(tmp_path):
-    with Lab(tmp_path) as lab:
-        recorder = lab.run([*executable('gms_flex'), 'record', '--topics', *TOPICS, '--out',
-                            str(tmp_path / 'bag')], 'recorder')
-        loop = lab.start('loop_node', files=MOTION, trajectory__autostart=True, rate=1000.0,
-                         wait_for_subscribers=3)
-        lab.states = lab.listen(JointState, STATES)
-        lab.until(lambda: len(lab.states) > 100)
-        assert {os.sched_getscheduler(thread) for thread in (
-            recorder.process.pid, *threads(recorder, 'dds'))} == {os.SCHED_BATCH}
-        events, = threads(loop, 'dds.ev')
-        assert os.sched_getscheduler(loop.process.pid) == os.SCHED_OTHER
-        assert os.sched_getscheduler(events) == os.SCHED_BATCH
-        # of messages that have to be acknowledged; there are six to a state
-        before, first = wakes(events), stamp_of(lab.states[-1])
-        lab.more(lab.states, 1000)
-        samples = (stamp_of(lab.states[-1]) - first) / 1_000_000
-        assert wakes(events) - before < 3 * samples
-        assert recorder.signal(TERM) == loop.signal(TERM) == 0
+def test_a_recorder_interrupts_no_loop_and_wakes_it_seldom(lab, tmp_path):
+    recorder = lab.run([*executable('gms_flex'), 'record', '--topics', *TOPICS, '--out',
+                        str(tmp_path / 'bag')], 'recorder')
+    loop = lab.start('loop_node', files=MOTION, trajectory__autostart=True, rate=1000.0,
+                     wait_for_subscribers=3)
+    lab.states = lab.listen(JointState, STATES)
+    lab.until(lambda: len(lab.states) > 100)
+    assert {os.sched_getscheduler(thread) for thread in (
+        recorder.process.pid, *threads(recorder, 'dds'))} == {os.SCHED_BATCH}
+    events, = threads(loop, 'dds.ev')
+    assert os.sched_getscheduler(loop.process.pid) == os.SCHED_OTHER
+    assert os.sched_getscheduler(events) == os.SCHED_BATCH
+    # of messages that have to be acknowledged; there are six to a state
+    before, first = wakes(events), stamp_of(lab.states[-1])
+    lab.more(lab.states, 1000)
+    samples = (stamp_of(lab.states[-1]) - first) / 1_000_000
+    assert wakes(events) - before < 3 * samples
+    assert recorder.signal(TERM) == loop.signal(TERM) == 0
 
 
 def threads(started, name):

@@ -71,18 +71,17 @@ def test_nodes_and_one_process_agree(tmp_path, monkeypatch):
     assert names == {('joint1', 'joint2', 'joint2_motor')}
 
 
-def test_the_last_sample_is_answered_before_the_plant_ends(tmp_path):
+def test_the_last_sample_is_answered_before_the_plant_ends(lab):
     """A recording of N states has N commands; unanswered the plant would wait."""
-    with node_harness.Lab(tmp_path) as lab:
-        states = lab.hear('states')
-        commands = lab.say('commands')
-        plant = lab.start('plant_node', mode='lockstep', rate=100.0, duration=0.03,
-                          wait_for_subscribers=1)
-        lab.until(lambda: states and commands.get_subscription_count())
-        for stamp in (0, 10_000_000):
-            commands.publish(array_message([0.0, 0.0], f'stamp:{stamp}'))
-            lab.until(lambda stamp=stamp: stamp_of(states[-1]) == stamp + 10_000_000)
-        lab.more(states, 1)  # the last one, sent again
-        assert plant.runs and stamp_of(states[-1]) == 20_000_000
-        commands.publish(array_message([0.0, 0.0], 'stamp:20000000'))
-        assert plant.wait() == 0
+    states = lab.hear('states')
+    commands = lab.say('commands')
+    plant = lab.start('plant_node', mode='lockstep', rate=100.0, duration=0.03,
+                      wait_for_subscribers=1)
+    lab.until(lambda: states and commands.get_subscription_count())
+    for stamp in (0, 10_000_000):
+        commands.publish(array_message([0.0, 0.0], f'stamp:{stamp}'))
+        lab.until(lambda stamp=stamp: stamp_of(states[-1]) == stamp + 10_000_000)
+    lab.more(states, 1)  # the last one, sent again
+    assert plant.runs and stamp_of(states[-1]) == 20_000_000
+    commands.publish(array_message([0.0, 0.0], 'stamp:20000000'))
+    assert plant.wait() == 0
