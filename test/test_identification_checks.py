@@ -19,7 +19,7 @@ from gms_flex_control.identification.identify import identify, IdentifyOptions
 from gms_flex_control.identification.objective import held_out, Objective
 from gms_flex_control.identification.prediction_error import coupling_sentences
 from gms_flex_control.identification.problem import Problem
-from gms_flex_control.identification.recording_checks import check, require, standing
+from gms_flex_control.identification.recording_checks import check, of_all, require, standing
 from gms_flex_control.identification.segments import drive_sides, TorqueWarning
 from gms_flex_control.schema.files import load_robot
 from identified_axis import pendulum
@@ -264,6 +264,50 @@ def test_a_torque_that_is_switched_is_not_clipped(levels):
     torque = np.clip(6.0 * np.sin(3.0 * recording.time), -4.0, 4.0)
     cut = replace(recording, tau_motor=torque[:, None])
     assert 'saturated' in {one.kind for one in check(cut, rigid_joints(['cart']))}
+
+
+@pytest.mark.parametrize('alone', [True, False])
+def test_torque_that_other_joints_may_explain_is_said_to_be(alone):
+    """Gravity of links that others turn is no function of the joint's own angle."""
+    one, other = pendulum(seed=1), pendulum(pace=1.3)
+    turned = 5.0 * np.cos(other.q_link + 0.4)
+    if alone:
+        recording = replace(one, tau_motor=turned)
+    else:
+        recording = Recording(
+            joints=('upper', 'lower'), time=one.time, source='arm',
+            q_link=np.column_stack([one.q_link, other.q_link]),
+            tau_motor=np.column_stack([turned, other.tau_motor]))
+    robot = rigid_joints(recording.joints)
+    robot = replace(robot, arm=replace(robot.arm, inertia=np.full(robot.n_joints, 0.02)))
+    fault, = check(recording, robot)
+    assert fault.kind == 'unexplained' and fault.joint == recording.joints[0]
+    assert ('a robot file of the whole arm explains it' in fault.text) != alone
+
+
+def parts_of(recording, seconds):
+    """Return parts of a Recording, each so long [s] and from time 0."""
+    number = (recording.time / seconds + 1e-9).astype(int)
+    cuts = [recording.of_samples(number == k) for k in range(number[-1] + 1)]
+    return [replace(one, time=one.time - one.time[0]) for one in cuts]
+
+
+def test_recordings_fitted_together_are_long_and_move_both_ways_together():
+    """A joint tested speed by speed moves one way in each bag, and each is short."""
+    recording, robot = pendulum(seconds=18.0, pull=0.0), rigid_joints(['swing'])
+    parts = parts_of(recording, 3.0)
+    assert {one.kind for one in check(parts[0], robot, rough=True)} >= {'too_short'}
+    assert of_all(parts, robot) == []
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        found = identify(parts, robot, options=IdentifyOptions(estimate='all', blocks=(1,)))
+    assert not [text for text in found.warnings if 'too short' in text or ' only' in text]
+    time = parts[0].time
+    there, back = (replace(parts[0], q_link=sign * np.cumsum(0.2 + 0.1 * np.sin(time))[:, None])
+                   for sign in (1.0, -1.0))
+    assert [one.kind for one in of_all([there, there], robot)] == ['one_direction']
+    assert of_all([there, back], robot) == []
+    assert [one.kind for one in of_all([there], robot)] == ['too_short', 'one_direction']
 
 
 def with_still_joints(recording):

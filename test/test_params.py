@@ -80,7 +80,7 @@ def arm(**changes):
     ('gains', {'observer_gain': [np.nan, 1.0]}, r'observer_gain must be finite'),
     ('gains', {'filter_bandwidth': [0.0, 100.0]}, r'filter_bandwidth must be above 0'),
     ('robot', {'joints': ('joint1', 'joint1')}, 'joints and motors need names of their own'),
-    ('robot', {'joints': ('joint1', 'arm')}, "a joint cannot be called 'arm'"),
+    ('robot', {'joints': ('joint1', 'arm')}, "a joint cannot be called 'arm'.*another"),
     ('robot', {'joints': ('joint1',)}, 'arm describes 2 joints, but joints names 1'),
     ('robot', {'motors': ('motor1', '')}, "'joint2' is flexible but motors has no name for it"),
     ('robot', {'arm': arm()}, "joint 'joint2' is rigid .* but has motor")])

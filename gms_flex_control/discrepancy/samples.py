@@ -131,9 +131,12 @@ def _in_hole(read, time, period):
 _OF_TORQUE = ('swapped_torques', 'swapped_sides', 'torque_sign', 'torque_scale', 'unexplained')
 
 
-def faults_of(recordings, robot) -> list:
+def faults_of(recordings, robot, holdout=()) -> list:
     """Return the faults of `recording_checks` in what equations will use, the worst first."""
-    found = [fault for recording in recordings for fault in _faults(recording, robot)]
+    found = [fault for recording in (*recordings, *holdout)
+             for fault in _faults(recording, robot)]
+    if not sampling_checks.length(*recordings):  # short ones are long together
+        found = [one for one in found if (one.kind, one.severity) != ('too_short', 'warn')]
     return sorted(found, key=lambda fault: fault.severity != 'refuse')
 
 

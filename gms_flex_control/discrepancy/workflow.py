@@ -67,7 +67,7 @@ def find_discrepancy(
     begun, options = time.monotonic(), options or SearchOptions()
     sources = tuple(recording.source for recording in recordings)
     say('checking the data')
-    faults = faults_of((*recordings, *holdout), robot)
+    faults = faults_of(recordings, robot, holdout)
     words = tuple(fault.text for fault in faults)
     fatal = [fault.text for fault in faults if fault.severity == 'refuse']
     if fatal and not options.force:

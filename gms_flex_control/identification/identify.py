@@ -13,7 +13,7 @@ from gms_flex_control.identification.criterion import NEXT_TO_NOTHING, WORTH
 from gms_flex_control.identification.friction_fit import fit_beside
 from gms_flex_control.identification.outcome import Identification
 from gms_flex_control.identification.problem import Problem
-from gms_flex_control.identification.recording_checks import require, standing
+from gms_flex_control.identification.recording_checks import OF_ALL, of_all, require, standing
 from gms_flex_control.identification.selection import CANDIDATES
 from gms_flex_control.identification.unseen_links import (
     driven_by_motors,
@@ -77,6 +77,8 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         recordings, holdouts = (
             [(_checked(assumed_robot.as_assumed(one, robot), model, options), phases)
              for one, phases in several] for several in (recordings, holdouts))
+        for fault in of_all([one for one, _ in recordings], model):
+            warnings.warn(fault.text, stacklevel=2)
         unknown = next((one.source for one, _ in holdouts if one.operation.load_unknown), None)
         if unknown:
             raise IdentificationError(f'{unknown}: its load is unknown, so that nothing can be '
@@ -116,7 +118,7 @@ def _checked(recording, model, options):
     """
     whole, seen = options.estimate == 'all', with_links_if_known(recording, model)
     for fault in require(seen, model, force=options.force, rough=whole):
-        if fault.kind != 'torque_scale' or not whole:
+        if fault.kind not in (*OF_ALL, *(('torque_scale',) if whole else ())):
             warnings.warn(fault.text, stacklevel=3)
     if seen is recording:
         return recording

@@ -42,6 +42,8 @@ from gms_flex_control.params.arm import carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
+OF_ALL = ('too_short', 'still', 'one_direction')  # kinds that recordings have together
+
 
 def saturated(signals: Recording) -> list[Fault]:
     """Return faults of torques that stay at their extreme while the joint moves."""
@@ -236,6 +238,8 @@ def _inertia_scale(balance, j):
 def _unexplained(balance):
     """Find torques that have nothing to do with the motion."""
     found = []
+    others = (' Where other joints move it, a robot file of the whole arm explains it.'
+              if len(balance.driven) > 1 and balance.arm.kind == 'decoupled' else '')
     for j in balance.driven:
         tau, name = balance.motion.tau[:, j], balance.joints[j]
         shares = [fit.as_is for fit in balance.fits(tau, j) or ()]
@@ -246,7 +250,7 @@ def _unexplained(balance):
                 'unexplained', name, 'warn', f'{balance.source}: inertia, gravity, '
                 f'spring and friction explain {100 * max(shares):.0f} % of the torque of '
                 f'{name}; is it the torque of this joint, at the time of its '
-                'angles, and is the robot file right?'))
+                f'angles, and is the robot file right?{others}'))
     return found
 
 
@@ -340,17 +344,27 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Fault,
     return tuple(found)
 
 
+def of_all(recordings: Sequence[Recording], robot: RobotParams) -> list[Fault]:
+    """
+    Return warnings of what only Recordings fitted together can lack, kinds OF_ALL.
+
+    One of them may be short, and have motion of some joints, or one way.
+    """
+    seen = [one.of_joints(robot.joints) for one in recordings]
+    return [fault._replace(severity='warn') for fault in (
+        *sampling_checks.length(*seen), *sampling_checks.motion(*seen))]
+
+
 def standing(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """
     Return the joints that stand still in all recordings, () where all do.
 
     Not those whose motor is seen: it may move on a spring.
     """
-    still = set.intersection(*({
-        fault.joint for fault in sampling_checks.motion(one) if fault.kind == 'still'
-        and not np.isfinite(one.q_motor[:, one.joints.index(fault.joint)]).any()}
-        for one in recordings))
     joints = recordings[0].joints
+    still = {fault.joint for fault in sampling_checks.motion(*recordings)
+             if fault.kind == 'still' and not any(np.isfinite(
+                 one.q_motor[:, joints.index(fault.joint)]).any() for one in recordings)}
     return tuple(joint for joint in joints if joint in still) if still < {*joints} else ()
 
 

@@ -14,13 +14,14 @@ _BESIDE = 5              # samples that give the velocity beside a run of equal 
 _HELD = 0.1              # s, as often a slow source gives a reading: longer ones stand
 
 
-def length(signals: Recording) -> list[Fault]:
-    """Return a fault if the recording is too short."""
-    count, duration = len(signals.time), float(signals.time[-1])
+def length(*recordings: Recording) -> list[Fault]:
+    """Return a fault if Recordings that are used together are too short."""
+    count = sum(len(one.time) for one in recordings)
+    duration = float(sum(one.time[-1] for one in recordings))
     if count >= limits.FEWEST and duration >= limits.SHORT:
         return []
     severity = 'refuse' if count < limits.FEWEST or duration < limits.SHORTEST else 'warn'
-    return [Fault('too_short', '', severity, f'{signals.source}: {count} samples in '
+    return [Fault('too_short', '', severity, f'{named(recordings)}: {count} samples in '
                   f'{duration:.3g} s are too short to separate friction from inertia; record at '
                   f'least {limits.SHORT:g} s and {limits.FEWEST} samples, with motion both '
                   'ways')]
@@ -122,31 +123,55 @@ def _holes(signals, joint, name, values, needed):
     yield Fault('missing', joint, severity, f'{signals.source}: {text}')
 
 
-def motion(signals: Recording) -> list[Fault]:
-    """Return faults 'still' and 'one_direction' of joints."""
-    found, still = [], []
-    for j, joint in enumerate(signals.joints):
-        q = signals.q_link[:, j]
-        if np.isfinite(q).sum() < limits.FEWEST:
-            continue
-        filtered, = analysis.smoothed(
-            signals.time, [q], analysis.derivative_window(signals.time, q))
-        if not len(filtered.value):
-            continue
-        noise = np.nanstd(np.diff(q)) / np.sqrt(2)
-        span = np.ptp(filtered.value)
-        if span <= limits.STILL_STEPS * max(analysis.quantum(q), min(noise, span)):
-            still.append((joint, float(np.nanmax(q) - np.nanmin(q))))
-        else:
-            found += _one_way(signals.source, joint, filtered)
+def motion(*recordings: Recording) -> list[Fault]:
+    """Return faults 'still' and 'one_direction' of joints in Recordings of them together."""
+    found, still, source = [], [], named(recordings)
+    for j, joint in enumerate(recordings[0].joints):
+        parts = [one for one in recordings if np.isfinite(one.q_link[:, j]).sum() >= limits.FEWEST]
+        moved = [_ways(one, j) for one in parts]
+        ways = np.sum([one for one in moved if one is not None], axis=0)
+        if np.ndim(ways):
+            found += _one_way(source, joint, *ways)
+        elif any(one is None for one in moved):
+            still.append((joint, max(float(np.nanmax(one.q_link[:, j]) - np.nanmin(
+                one.q_link[:, j])) for one in parts)))
     for joint, travel in still:
         moves = (f'never moves (by {travel:.3g} rad at most, which its encoder hardly resolves)'
                  if travel > 0.0 else 'does not move')
         found.append(Fault(
-            'still', joint, 'refuse' if len(still) == len(signals.joints) else 'warn',
-            f'{signals.source}: {joint} {moves}; none of its parameters can be had from this '
-            'recording'))
+            'still', joint, 'refuse' if len(still) == len(recordings[0].joints) else 'warn',
+            f'{source}: {joint} {moves}; none of its parameters can be had from '
+            f'{"this recording" if len(recordings) == 1 else "these recordings"}'))
     return found
+
+
+def named(recordings: Sequence[Recording]) -> str:
+    """Return the sources of recordings for a message."""
+    first, *others = [one.source for one in recordings]
+    return f'{first} and {len(others)} more' if others else first
+
+
+def _ways(signals, j):
+    """Return how far a joint moves forward and backward (2,) [rad], None where it stands."""
+    q = signals.q_link[:, j]
+    filtered, = analysis.smoothed(signals.time, [q], analysis.derivative_window(signals.time, q))
+    if not len(filtered.value):
+        return np.zeros(2)
+    noise, span = np.nanstd(np.diff(q)) / np.sqrt(2), np.ptp(filtered.value)
+    if span <= limits.STILL_STEPS * max(analysis.quantum(q), min(noise, span)):
+        return None
+    steps = np.diff(filtered.value)[analysis.is_moving(filtered.first)[1:]]
+    return np.array([steps[steps > 0].sum(), -steps[steps < 0].sum()])
+
+
+def _one_way(source, joint, forward, backward):
+    if min(forward, backward) >= limits.ONE_WAY * max(forward, backward):
+        return
+    way, other = ('forward', 'backward') if forward > backward else ('backward', 'forward')
+    yield Fault('one_direction', joint, 'warn', f'{source}: {joint} moves {way} only '
+                f'({max(forward, backward):.3g} rad against {min(forward, backward):.2g}): '
+                f'friction.{joint}.{other} is not identifiable, nor friction separable from a '
+                'constant torque; add motion the other way')
 
 
 def units(signals: Recording, robot: RobotParams) -> list[Fault]:
@@ -179,18 +204,6 @@ def doubtful_columns(recording: Recording, joints: Sequence) -> list[str]:
             found.append(f'{joint.name} turns to {most:.3g} rad, {most / (2.0 * np.pi):.0f} turns;'
                          ' are these degrees? Then give unit: deg')
     return found
-
-
-def _one_way(source, joint, filtered):
-    steps = np.diff(filtered.value)[analysis.is_moving(filtered.first)[1:]]
-    forward, backward = steps[steps > 0].sum(), -steps[steps < 0].sum()
-    if min(forward, backward) >= limits.ONE_WAY * max(forward, backward):
-        return
-    way, other = ('forward', 'backward') if forward > backward else ('backward', 'forward')
-    yield Fault('one_direction', joint, 'warn', f'{source}: {joint} moves {way} only '
-                f'({max(forward, backward):.3g} rad against {min(forward, backward):.2g}): '
-                f'friction.{joint}.{other} is not identifiable, nor friction separable from a '
-                'constant torque; add motion the other way')
 
 
 def rates(signals: Recording) -> list[Fault]:

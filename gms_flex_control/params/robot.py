@@ -211,7 +211,8 @@ class RobotParams:
             raise ParameterError(f'joints and motors need names of their own, got {names}')
         if WHOLE_ARM in self.joints:
             raise ParameterError(f'a joint cannot be called {WHOLE_ARM!r}: '
-                                 'effects of the whole arm stand under that name')
+                                 'effects of the whole arm stand under that name; give it '
+                                 'another, as in the import map')
         for part, count in (('arm', self.arm.n_joints), ('motors', len(self.motors)),
                             ('friction', len(self.friction.attraction))):
             if count != n:
