@@ -109,7 +109,7 @@ def test_an_effect_is_named_by_the_motors_alone_and_it_is_said_what_is_lost():
 
 
 def test_torque_that_was_recorded_late_is_named_by_the_motors_alone():
-    case = make_case('clean', 3, plant='stiff', duration=40.0)
+    case = make_case('clean', 3, plant='stiff', duration=20.0)
     seen = blind(case.recording)
     late = np.roll(seen.command, 3, axis=0), np.roll(seen.tau_motor, 3, axis=0)
     result = find_discrepancy([replace(seen, command=late[0], tau_motor=late[1])],
