@@ -137,7 +137,7 @@ def test_found_constants_and_loads_are_written_for_the_next_command(tmp_path):
         'temperature: warm\ntorque_constant: {a: {value: 2, sd: 0.1}, b_motor: unknown, c: 5}\n')
     load = Body(3.0, np.array([0.1, 0.0, 0.2]), np.diag([0.1, 0.2, 0.15]))
     text = conditions.with_found(tmp_path, {'a': (1.5, 0.01), 'b': (7.0, 0.02)}, load,
-                      {'a': '', 'b': 'b_motor'})
+                                 {'a': '', 'b': 'b_motor'})
     (tmp_path / NAME).write_text(text)
     again = conditions_of(tmp_path)
     assert again.torque_constant == {'c': (5, 0.0), 'a': (3.0, 0.01), 'b': (7.0, 0.02)}
