@@ -2,13 +2,14 @@
 """Inertia, gravity, stiffness and motor inertia nobody has reported."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification import axis_fit
-from gms_flex_control.identification.arm_fit import estimate_arm
+from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.axis_fit import fit_axis, held_torque
@@ -84,6 +85,19 @@ def test_what_is_beside_gaps_that_cut_a_quick_motion_does_not_bend_friction():
     found = identify([(take.of_samples(kept), ())], rigid_joints(take.joints), options=ALL)
     for steady in (found.robot.friction.forward, found.robot.friction.backward):
         assert steady.coulomb[0] == pytest.approx(0.06, rel=0.2)
+
+
+@pytest.mark.parametrize(('change', 'left'), [(-0.5, 0.5), (-8.0, 0.1)])
+def test_an_inertia_is_reported_as_it_is_written(change, left):
+    """Where friction takes more than all of it, a part stays."""
+    recorded = pendulum(seconds=12.0, pull=0.0)
+    fit = estimate_arm([recorded], rigid_joints(recorded.joints))
+    joint, = fit.joints
+    theta = np.append(np.zeros(3), change * joint.axis.inertia / joint.units)
+    (inertia, *_), = arm_estimates(fit.robot, fit, [theta], [
+        SimpleNamespace(covariance=np.eye(len(theta)))])
+    assert inertia.value == folded(fit.robot, fit, [theta]).arm.inertia[0]
+    assert inertia.value == pytest.approx(left * joint.axis.inertia)
 
 
 def test_a_linear_axis_has_no_gravity_that_turns_with_its_position():

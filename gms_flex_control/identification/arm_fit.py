@@ -34,6 +34,7 @@ import numpy as np
 CONSTANT = ConstantLinkTorque.name
 _LIGHT = 0.05       # of the torque, taken by an inertia that is not identifiable
 _ERRORS, _PART = 5.0, 0.1  # of the regression, and of the number: unit of a correction
+_KEPT = 0.1        # of an inertia, at least, whatever corrects it
 _SLIGHT = 0.1      # of the torque: an inertia that needs less is not to be believed
 _NEEDS_INERTIA = 'faster changes of speed identify it'
 _NEEDS_GRAVITY = 'motion over a wider range of angles identifies it'
@@ -184,7 +185,7 @@ def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence) -> RobotParams
     arm, effects = robot.arm, []
     for j, theta in enumerate(thetas):
         inertia, cosine, sine, constant = _axis_numbers(arm, arm_fit.joints[j], j, theta)
-        arm = with_axis(arm, j, max(inertia, 0.1 * axis_of(arm, j)[0]), cosine, sine)
+        arm = with_axis(arm, j, inertia, cosine, sine)
         if constant:
             effects.append(EffectSpec(
                 name=CONSTANT, joint=robot.joints[j], values=(-float(constant),)))
@@ -193,9 +194,15 @@ def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence) -> RobotParams
 
 
 def _axis_numbers(arm, joint, j, theta):
-    """Return inertia, cosine, sine and constant torque of the j-th axis, corrected (4,)."""
+    """
+    Return inertia, cosine, sine and constant torque of the j-th axis, corrected (4,).
+
+    As written: of an inertia that the correction takes away a part stays, as all that moves has.
+    """
     values = np.append(axis_of(arm, j), joint.axis.constant)
+    least = _KEPT * values[0]
     values[joint.numbers] += theta[len(theta) - len(joint.units):] * joint.units
+    values[0] = max(values[0], least)
     return values
 
 
