@@ -94,6 +94,17 @@ def test_a_fault_with_which_one_can_go_on_is_reported(name):
     assert {(one.kind, one.severity) for one in found} == {(ALL[name][0], 'warn')}
 
 
+def test_short_recordings_are_long_together(case):
+    """And one that moves one way stands beside others that move both ways."""
+    time = case.recording.time
+    parts = [taken(case.recording, np.flatnonzero((time >= begin) & (time < begin + 3.0)))
+             for begin in (0.0, 2.0, 9.0)]
+    short, one_way = ({one.kind for one in faults_of([part], case.nominal)} for part in parts[:2])
+    assert short == {'too_short'} and one_way == {'too_short', 'one_direction'}
+    assert faults_of(parts, case.nominal) == []
+    assert {one.kind for one in faults_of(parts[:1], case.nominal, parts[1:])} == {'too_short'}
+
+
 def test_one_goes_on_with_faults_that_are_reported(case):
     """But a command is all that was asked for, clipped or not, and is not called missing."""
     recording = clipped(case.recording, 0.7)

@@ -16,7 +16,7 @@ from gms_flex_control.data.recording import even_time, held, held_torque, resamp
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification import sampling_checks
 from gms_flex_control.identification.check_basis import absent_joints, Fault
-from gms_flex_control.identification.recording_checks import check
+from gms_flex_control.identification.recording_checks import check, OF_ALL, of_all
 from gms_flex_control.identification.unseen_links import unseen_links, with_links
 from gms_flex_control.params.arm import at_last_link, Body, carrying, why_not_carried
 import numpy as np
@@ -135,8 +135,9 @@ def faults_of(recordings, robot, holdout=()) -> list:
     """Return the faults of `recording_checks` in what equations will use, the worst first."""
     found = [fault for recording in (*recordings, *holdout)
              for fault in _faults(recording, robot)]
-    if not sampling_checks.length(*recordings):  # short ones are long together
-        found = [one for one in found if (one.kind, one.severity) != ('too_short', 'warn')]
+    if not any(fault.severity == 'refuse' for fault in found):
+        found = [fault for fault in found if fault.kind not in OF_ALL] + of_all(
+            [with_links(one.of_joints(robot.joints), robot) for one in recordings], robot)
     return sorted(found, key=lambda fault: fault.severity != 'refuse')
 
 
