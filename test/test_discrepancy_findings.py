@@ -259,7 +259,7 @@ def test_torques_are_reported_in_units_that_suit(size, said):
 
 
 @pytest.mark.parametrize(('variable', 'joint', 'expected'), [
-    ('time', 'j', True), ('time times the direction of motion', 'j', True),
+    ('time', 'j', True), ('time times friction', 'j', True),
     ('time', 'other', False), ('torsion', 'j', False), ('', 'j', False)])
 def test_an_effect_of_the_variable_that_is_left_has_another_shape(variable, joint, expected):
     """Friction that steps up leaves a function of time beside a drift, which it is none."""

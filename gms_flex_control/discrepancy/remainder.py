@@ -15,6 +15,7 @@ from gms_flex_control.data.signal_analysis import BLOCK_TIME
 from gms_flex_control.discrepancy.describe import torque_scale
 from gms_flex_control.discrepancy.evidence import finite, NormalEquations
 from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
+from gms_flex_control.discrepancy.residuals import friction_along
 from gms_flex_control.discrepancy.result import Signature
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
 from gms_flex_control.discrepancy.torque_noise import excess_torque
@@ -31,7 +32,8 @@ _OF_TIME = 12         # likewise, of time, at most
 # not of torque: a function of it may shrink the whole equation
 _OF_FUNCTIONS = ('time', 'link angle', 'link rate', 'torsion')
 _READ = ('link rate', 'torsion')  # angles and time are large beside the noise of encoders
-_DIRECTED = ('time', 'link angle')  # multiplied by the direction of motion, too
+_TIMES = ' times friction'
+_SCALING = ('time', 'link angle')  # that scale friction, too
 LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
 _TRIED = 4            # functions of most evidence, of which one may be real
 
@@ -122,7 +124,7 @@ def signature_of(likelihood, model, share, free=None, among=None) -> Signature:
             float(share), free.equation, free.joint, variable,
             f'{scale.text(free.torque)} {scale.unit} rms in the {free.equation} equation of '
             f'{free.joint} are '
-            + ('constant.' if variable == 'constant' else f'a function of {variable}.'))
+            + ('constant.' if variable == 'constant' else _words_of(variable)))
     excess = excess_torque(likelihood, model) / np.tile(likelihood.coulomb, 2)
     if among:
         excess[~np.tile(np.isin(joints, among), 2)] = -1.0
@@ -153,6 +155,11 @@ def signature_of(likelihood, model, share, free=None, among=None) -> Signature:
         text += ', which follows none of position, speed, torsion, torque or time alone'
         variable = ''
     return Signature(float(share), equation, joints[j], variable, text + '.')
+
+
+def _words_of(variable):
+    name = variable.removesuffix(_TIMES)
+    return f'{"" if name == variable else "friction times "}a function of {name}.'
 
 
 # --- free functions -----------------------------------------------------------------------------
@@ -187,8 +194,12 @@ class FreeFunctions:
 
     def __init__(self, likelihood):
         self._likelihood, self._all, robot = likelihood, [], likelihood.robot
+        constants = likelihood.constants(robot, np.zeros(len(likelihood.nuisances)))
+        friction = [[friction_along(motion, motion.states, constants) / likelihood.coulomb
+                     for motion in run] for run in (likelihood.motions, *likelihood.pair)]
         for j, joint in enumerate(robot.joints):
-            shapes, noise = _shapes(likelihood, j)
+            shapes, noise = _shapes(likelihood, j, [[one[:, j] for one in run]
+                                                    for run in friction])
             for equation in ('link', 'motor'):
                 if equation == 'motor' and (robot.arm.rigid[j] or joint in likelihood.unseen):
                     continue
@@ -269,18 +280,19 @@ class FreeFunctions:
         return out
 
 
-def _shapes(likelihood, j):
+def _shapes(likelihood, j, friction):
     """
     Return triangles over variables of joint ``j``, and how null simulations of them differ.
 
     Both by name as of `Free`; the second where noise is not small beside the variable.
+    ``friction`` is that of the model, in Coulomb frictions, of recordings and null simulations.
     """
     motions, found, noise = likelihood.motions, {}, {}
     own, *null = ([variables(motion, j) for motion in run] for run in (motions, *likelihood.pair))
     others = [of_others(motion, j) for motion in motions]
     longest = max(motion.time[-1] - motion.time[0] for motion in motions)
-    moving, *ways = ([_direction(one['link rate']) for one in run] for run in (own, *null))
-    turned = [one - two for one, two in zip(*ways, strict=True)]
+    acting, *misread = friction
+    apart = [one - two for one, two in zip(*misread, strict=True)]
     for name in (*_OF_FUNCTIONS, *(name for name in others[0] if name.startswith('link angle'))):
         if name == 'torsion' and (likelihood.robot.arm.rigid[j]
                                   or likelihood.robot.joints[j] in likelihood.unseen):
@@ -293,10 +305,10 @@ def _shapes(likelihood, j):
         found[name] = partial(_along, values, at)
         if name in _READ:
             noise[name] = partial(_apart, *([one[name] for one in run] for run in null), at)
-        if name in _DIRECTED:
-            directed = f'{name} times the direction of motion'
-            found[directed] = partial(_along, values, at, moving)
-            noise[directed] = partial(_along, values, at, turned)
+        if name in _SCALING:
+            scaled = name + _TIMES
+            found[scaled] = partial(_along, values, at, acting)
+            noise[scaled] = partial(_along, values, at, apart)
     return found, noise
 
 
@@ -322,8 +334,3 @@ def _hats(values, at):
     sample = np.arange(len(values))
     hats[sample, left], hats[sample, left + 1] = 1.0 - share, share
     return hats
-
-
-def _direction(rate):
-    """Return the direction of motion (S,), smoothly through rest."""
-    return np.tanh(rate / max(0.05 * float(np.sqrt(np.mean(rate ** 2))), 1e-12))

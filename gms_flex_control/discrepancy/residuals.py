@@ -231,12 +231,12 @@ def _residuals(motion, constants, drive, states, second, way):
         turns_against, as_read = np.zeros_like(drive), (*way, *own)
         way = (*way, *_key(constants, (SENSOR,)))
         if _bends(constants):
-            turns_against = kept(as_read, partial(_friction, motion, states, constants))
+            turns_against = kept(as_read, partial(friction_along, motion, states, constants))
             way = (*way, motion.torque, *_key(constants, (_ACTUATOR,)), *own)
         states, second, base = kept(('cleared', *way), partial(
             cleared, motion, drive, states, second, constants, turns_against))
         joints = states[:, :2] - base
-    friction = kept((*way, *own), partial(_friction, motion, joints, constants))
+    friction = kept((*way, *own), partial(friction_along, motion, joints, constants))
     bodies = kept((*way, *_key(constants, (), *_of_bodies(constants))), partial(
         _rigid_body, states, second, constants, work))
     out = _formed(motion, constants, drive, states, second, friction, *bodies)
@@ -288,7 +288,7 @@ def _key(constants, stages, *fields):
                       for name in fields))
 
 
-def _friction(motion, states, constants):
+def friction_along(motion, states, constants) -> np.ndarray:
     """Return the friction torques (S, n) along angles and rates (S, 2 or more, n) [N m]."""
     return gms.replay(states[:, 0], states[:, 1], motion.period, constants.friction)
 
@@ -321,7 +321,7 @@ def drive_torque(motion, constants) -> np.ndarray:
 def cleared(motion, drive, states, second, constants, friction=None) -> tuple:
     """Return motion (S, 6, n), second differences and bases (S, 2, n), sensor errors cleared."""
     work = plant.workspace(drive.shape[1])
-    friction = _friction(motion, states, constants) if friction is None else friction
+    friction = friction_along(motion, states, constants) if friction is None else friction
     true, bend, base = np.empty_like(states), np.empty_like(second), np.empty_like(second)
     clear_sensor_errors(states, friction, drive, motion.time, motion.period, constants,
                         fresh_state(constants), work, true, bend, base)
