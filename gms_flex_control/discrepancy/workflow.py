@@ -101,8 +101,8 @@ def _compared(motions, holdout, robot, options, say):
     held_out = HeldOut(likelihood, Residuals(holdout, robot, options.seed) if holdout else None)
     of_judged = found.best
     found, worths = predictive(likelihood, found, worths, held_out)
-    if found.best is not of_judged:
-        free = functions.left_in(found.best.model, found.best.jacobian)
+    if found.best is not of_judged:  # without others an effect may only resemble
+        found, worths, free, _ = judged(likelihood, found, functions)
     findings = findings_of(likelihood, found, worths, held_out)
     all_found = found.best
     gap = held_out.gap(found.before, all_found)
