@@ -171,7 +171,7 @@ class Bridge:
         """Note whether the state that another follows now was answered."""
         controller = self.controller
         if not self.supervisor.active or controller.answered is None:
-            controller.lateness.share = 0.0  # plain commands answer no state
+            controller.lateness.restart()  # plain commands answer no state
             return
         missed = controller.answered < self.robot.stamp
         self.counters[supervision.BRIDGED[1]] += missed

@@ -216,6 +216,10 @@ class Lateness:
     def __init__(self):
         self.share = 0.0
 
+    def restart(self) -> None:
+        """Begin anew, as where no command is to be expected."""
+        self.share = 0.0
+
     def note(self, missed, elapsed) -> None:
         """Note whether the command of a state was ``missed``, ``elapsed`` [s] after it."""
         self.share = recently(self.share, missed, elapsed)

@@ -66,14 +66,17 @@ class Guardian:
             self._heard_by = answer[-1]
         return self._heard_by
 
-    def beat(self, data=_BEAT) -> None:
+    def beat(self) -> None:
         """Say that the bridge lives; to be called at least every 20 ms."""
+        self._write(_BEAT)
+
+    def _write(self, data):
         with suppress(OSError):  # it is dead, which `ended` reports, or frozen with a full pipe
             self._process.stdin.write(data)
 
     def end(self) -> None:
         """Let it go without a word, the bridge having said the last one."""
-        self.beat(_END)
+        self._write(_END)
         self._process.stdin.close()
         try:
             self._process.wait(timeout=1.0)

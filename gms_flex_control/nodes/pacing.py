@@ -104,7 +104,7 @@ class Paced:
     def _report_late(self, answered):
         """Warn where too many samples end before the command that answers them has come."""
         if answered is None or not self._robot.active:  # plain commands answer no state
-            self._lateness.share = 0.0
+            self._lateness.restart()
             return
         self._lateness.note(answered != self._arm.stamp, self._arm.period / NANOSECONDS)
         if self._lateness.share > NOTABLE:

@@ -179,11 +179,12 @@ class DeviceLink:
             return
         try:
             self._device.write(efforts)
+        except DeviceError as error:
+            self._unwritten = error
+            raise DeviceError(f'device {self._name}: {error}') from error
         except Exception as error:  # noqa: B902  of a library we do not know
-            failed, of_device = f'failed to write: {error!r}', isinstance(error, DeviceError)
-            self._unwritten = error if of_device else DeviceError(f'it {failed}')
-            raise DeviceError(f'device {self._name}' + (
-                f': {error}' if of_device else f' {failed}')) from error
+            self._unwritten = DeviceError(f'it failed to write: {error!r}')
+            raise DeviceError(f'device {self._name} failed to write: {error!r}') from error
 
     def beat(self) -> None:
         """Do nothing: a device ends its torque by itself."""

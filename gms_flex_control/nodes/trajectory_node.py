@@ -61,13 +61,14 @@ class TrajectoryNode(ConfiguredNode):
         self.health = Health(self, lambda: self._counts)
         self._reference_pub = Outlet(self, Float64MultiArray, 'reference', values['mode'])
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
-        for kind, topic, hear in (
-                (DiagnosticArray, DIAGNOSTICS, self._on_diagnostics),
-                (JointTrajectory, '~/joint_trajectory', self._on_joint_trajectory)):
-            hear = self.health.shield(hear)
-            self.create_subscription(kind, topic, hear, process.subscriber_qos('lockstep'),
-                                     event_callbacks=process.NO_EVENTS)
-            self.direct.hearers[topic].append(hear)
+        hear = self.health.shield(self._on_diagnostics)
+        self.create_subscription(DiagnosticArray, DIAGNOSTICS, hear,
+                                 process.subscriber_qos('lockstep'),
+                                 event_callbacks=process.NO_EVENTS)
+        self.direct.hearers[DIAGNOSTICS].append(hear)
+        self.create_subscription(
+            JointTrajectory, '~/joint_trajectory', self.health.shield(self._on_joint_trajectory),
+            process.subscriber_qos('lockstep'), event_callbacks=process.NO_EVENTS)
         self._serve_triggers()
 
         def judge(new):
