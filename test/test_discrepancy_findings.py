@@ -120,7 +120,7 @@ def test_an_effect_that_held_out_data_do_not_touch_is_written(models):
 def test_an_effect_beside_other_parameters_explains_what_was_fitted(
         monkeypatch, left, is_written):
     """
-    A gain found beside friction of another level is none beside the level without it.
+    A gain found beside another level of friction explains nothing beside the former level.
 
     Blocks left out do not show it: they judge a State whose parameters are fitted anew.
     """
@@ -262,7 +262,7 @@ def test_torques_are_reported_in_units_that_suit(size, said):
     ('time', 'j', True), ('time times friction', 'j', True),
     ('time', 'other', False), ('torsion', 'j', False), ('', 'j', False)])
 def test_an_effect_of_the_variable_that_is_left_has_another_shape(variable, joint, expected):
-    """Friction that steps up leaves a function of time beside a drift, which it is none."""
+    """Friction that steps up is no drift: beside one, a function of time is left."""
     left = Signature(0.2, 'link', 'j', variable, 'Something is left.')
     assert left.is_of(SimpleNamespace(effect='friction_drift', joint=joint)) == expected
 

@@ -32,7 +32,7 @@ _OF_TIME = 12         # likewise, of time, at most
 # not of torque: a function of it may shrink the whole equation
 _OF_FUNCTIONS = ('time', 'link angle', 'link rate', 'torsion')
 _READ = ('link rate', 'torsion')  # angles and time are large beside the noise of encoders
-_TIMES = ' times friction'
+_TIMES = ' times friction'  # behind the name of a variable
 _SCALING = ('time', 'link angle')  # that scale friction, too
 LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
 _TRIED = 4            # functions of most evidence, of which one may be real
