@@ -162,12 +162,13 @@ def begin_sample(k, period, x, supply, noise):
 
 @compiled
 def sense(x, time, period, c, sensed, encoders, rng):
-    """Read the encoders into ``sensed.output``, through the effects on sensors."""
+    """Read the encoders, which count from the base, through the effects on sensors."""
     s = x.signals
     fill(x, x.q, x.v, x.q_motor, x.v_motor, x.applied, time)
     for j in range(x.q.shape[0]):
-        s[j, sig.SENSED_LINK], s[j, sig.SENSED_LINK_RATE] = x.q[j], x.v[j]
-        s[j, sig.SENSED_MOTOR], s[j, sig.SENSED_MOTOR_RATE] = x.q_motor[j], x.v_motor[j]
+        s[j, sig.SENSED_LINK], s[j, sig.SENSED_LINK_RATE] = s[j, sig.Q_LINK], s[j, sig.DQ_LINK]
+        s[j, sig.SENSED_MOTOR] = s[j, sig.Q_MOTOR]
+        s[j, sig.SENSED_MOTOR_RATE] = s[j, sig.DQ_MOTOR]
     effect_table.run_stage(_SENSOR, s, x.memory, period, c.effects)
     encoder.draw(sensed, encoders, rng)
     encoder.measure(sensed, s, period, encoders)
