@@ -123,16 +123,29 @@ def test_a_model_gains_nothing_over_itself():
 
 def test_a_fold_is_predicted_by_a_fit_that_saw_nothing_of_it(ideal_robot, gains):
     """
-    The same step as where its residuals and derivatives are nothing.
+    By the same step, beyond that of all data, as where its residuals and derivatives are nothing.
 
     Encoders are ideal: what filters err by is all that differs between null simulations.
     """
     likelihood = Likelihood([driven_motion(ideal_robot, gains, duration=8.0)], ideal_robot)
     model, columns = as_believed(likelihood), retuned_of(likelihood)[1]
+    whole, _ = foreseen(likelihood, model, columns, columns[:0], (), np.inf)
     for left_out, step in validation.steps(likelihood, model, columns):
         blind = replace(model, whitened=model.whitened * ~left_out)
         alone, _ = foreseen(likelihood, blind, columns * ~left_out, columns[:0], (), np.inf)
-        np.testing.assert_allclose(step, alone, rtol=0, atol=1e-4 * np.abs(alone).max())
+        np.testing.assert_allclose(step, alone - whole, rtol=0, atol=1e-4 * np.abs(alone).max())
+
+
+def test_a_step_that_all_data_promise_alike_is_not_taken(ideal_robot, gains):
+    """It is one that the fit has not taken, as nothing gets better where that is not linear."""
+    likelihood = Likelihood([driven_motion(ideal_robot, gains, duration=8.0)], ideal_robot)
+    model, columns = retuned_of(likelihood)
+    best = int(np.argmax(np.sum((columns * likelihood.sd[:, None]) ** 2, axis=1)))
+    promised = 0.5 * likelihood.sd[best]
+    short = replace(model, whitened=model.whitened - promised * columns[best])
+    for (_, step), (_, own) in zip(*(validation.steps(likelihood, one, columns)
+                                     for one in (short, model)), strict=True):
+        assert abs(step[best] - own[best]) < 0.05 * promised
 
 
 @pytest.mark.parametrize(('gain', 'expected'), [

@@ -168,11 +168,21 @@ def prior_of(likelihood, model, numbers=None) -> FreePriors:
 
 
 def steps_without(likelihood, model, jacobian, numbers, parts, plausible) -> Iterator:
-    """Yield the step of `foreseen` by all residuals but each of the ``parts``, bool (R,)."""
+    """
+    Yield by which step (C,) a model moves as each of the ``parts``, bool (R,), is left out.
+
+    The step of `foreseen` by all other residuals, beyond that by all: where a fit ended, there is
+    none that lessens the cost, even if derivatives of what is not linear promise one.
+    """
     found = normal_equations(likelihood, model, jacobian, numbers, parts)
+    low, high = limits(model, numbers, prior_of(likelihood, model, numbers),
+                       plausible * likelihood.sd)
+
+    def step_of(used):
+        return _step(likelihood, model, numbers, *map(sum, zip(*used, strict=True)), plausible)[0]
+    whole = step_of(found)
     for k in range(len(parts)):
-        others = zip(*(one for m, one in enumerate(found) if m != k), strict=True)
-        yield _step(likelihood, model, numbers, *map(sum, others), plausible)[0]
+        yield np.clip(step_of(found[:k] + found[k + 1:]) - whole, low, high)
 
 
 def normal_equations(likelihood, model, jacobian, numbers, parts) -> list[tuple]:
