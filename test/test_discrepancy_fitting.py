@@ -95,7 +95,7 @@ def test_a_value_where_the_catalogue_ends_is_none(robot):
     for name, values, expected in (
             ('input_delay', (0.05,), True), ('input_delay', (0.049,), False),
             ('encoder_skew', (-0.05,), True), ('encoder_skew', (0.0,), False),
-            ('presliding_error', (0.1, 1.0), False), ('backlash', (0.0,), False)):
+            ('load_friction', (1.0, 1e-3), False), ('backlash', (0.0,), False)):
         spec = effect_on('joint1', name, *values)
         assert is_at_limit(spec, robot) == expected
 

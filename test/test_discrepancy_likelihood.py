@@ -161,19 +161,18 @@ def test_a_payload_and_the_inertia_of_links_add_up_in_rows_and_noise(robot, coar
 def test_a_fit_ends_with_what_encoder_noise_truly_adds(robot, gains):
     """Blocks that give way are not linear in how soft they are; the cost is that of evidence."""
     coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
-    soft = effect_on(robot.joints[1], 'presliding_error', -0.5, 0.0)
+    soft = effect_on(robot.joints[1], 'presliding_error', -0.5)
     likelihood = Likelihood([driven_motion(with_effects(coarse, soft), gains)], robot)
-    probe = (-0.1, 0.0)
+    probe = (-0.1,)
     likelihood.encoder_noise.learn(likelihood, replace(soft, values=probe), [(0, probe)])
     x = np.zeros(len(likelihood.nuisances))
-    begin = likelihood.fitted(with_effects(robot, replace(soft, values=(-0.7, 0.0))), x)
+    begin = likelihood.fitted(with_effects(robot, replace(soft, values=(-0.7,))), x)
     columns = likelihood.jacobian(likelihood.fitted(robot, x))
     found = fit(likelihood, begin.robot, x, columns)
     exact = likelihood.exact(begin)
     assert abs(exact.cost - begin.cost) > 10.0
     assert found.cost == likelihood.exact(found).cost < exact.cost
-    ratio, tilt = found.robot.effects[0].values
-    near = replace(soft, values=(ratio + 1e-6, tilt))
+    near = replace(soft, values=(found.robot.effects[0].values[0] + 1e-6,))
     other = likelihood.fitted(with_effects(robot, near), found.x)
     assert other.cost == pytest.approx(found.cost, abs=1.0)
 

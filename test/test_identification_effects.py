@@ -136,7 +136,7 @@ def test_a_late_encoder_is_cleared_where_its_motor_is_quick():
 
 
 @pytest.mark.parametrize(('name', 'values'), [
-    ('coulomb_error', (0.1,)), ('stribeck_error', (0.1,)), ('presliding_error', (0.1, 0.0)),
+    ('coulomb_error', (0.1,)), ('stribeck_error', (0.1,)), ('presliding_error', (0.1,)),
     ('viscous_error', (0.1,)),
     ('base_flexibility', (5.0, 1.0, 0.05))])
 def test_an_effect_that_is_indistinguishable_is_refused_by_name(name, values):

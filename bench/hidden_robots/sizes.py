@@ -119,7 +119,7 @@ MAIN = {
     'viscous_error': lambda r, k: {
         'slope': between(r, 0.15, 0.5) * max(k.viscous, 0.5 * k.coulomb / k.speed)},
     'stribeck_error': lambda r, k: {'ratio': between(r, 0.15, 0.5)},
-    'presliding_error': lambda r, k: {'stiffness': -between(r, 0.3, 0.7), 'tilt': 0.0},
+    'presliding_error': lambda r, k: {'stiffness': -between(r, 0.3, 0.7)},
     'friction_asymmetry': lambda r, k: {'ratio': either(r, 0.04, 0.25)},
     'position_friction': lambda r, k: {'ratio': between(r, 0.05, 0.35),
                                        'order': float(r.integers(1, 6)), 'phase': angle(r)},

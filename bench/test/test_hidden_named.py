@@ -26,6 +26,18 @@ def test_a_hidden_effect_is_named_first_with_its_values():
     assert errors[1] < 1.04 * errors[0]
 
 
+@pytest.mark.parametrize(('seed', 'name'), [
+    (5273, 'stribeck_error'), (5274, 'presliding_error'), (5211, 'base_flexibility')])
+def test_what_acts_around_reversals_or_on_the_base_is_named(seed, name):
+    """No known parameter of friction, though it could be off as much, takes its place."""
+    case = make_case('single', seed)
+    result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    hidden, = case.truth.effects
+    assert [(one.effect, one.joint) for one in result.findings] == [hidden.key], result.words
+    first = result.findings[0].values[0].value
+    assert hidden.name == name and first == pytest.approx(hidden.values[0], rel=0.1)
+
+
 def test_a_clean_robot_whose_links_are_not_seen_is_complete():
     case = make_case('clean', 3, duration=10.0)
     unknown = np.full_like(case.recording.q_link, np.nan)

@@ -170,11 +170,7 @@ _RESOLVED = 4  # counts of an encoder within which no block slips: fewer show no
 
 
 class PreslidingError(Change):
-    """
-    k_i -> (1 + stiffness) k_i; alpha_i -> alpha_i (1 + tilt x_i), their sum kept.
-
-    x_i goes from -1 of the softest block of the joint to 1 of the stiffest, in equal steps.
-    """
+    """k_i -> (1 + stiffness) k_i."""
 
     name = 'presliding_error'
     words = 'Friction before sliding other than believed'
@@ -184,24 +180,18 @@ class PreslidingError(Change):
     replaces = 'blocks'
     parameters = (
         Parameter('stiffness', '1', 'relative error of all block stiffnesses', lower=-0.95,
-                  typical=0.5),
-        Parameter('tilt', '1', 'load moved from the softer to the stiffer blocks', lower=-1.0,
-                  upper=1.0, typical=0.3))
+                  typical=0.5),)
 
     @staticmethod
     def guesses(scales) -> list:
         """Return how it might be there, list of Guess; not where counts hide presliding."""
         if scales.count * _RESOLVED > scales.presliding:
             return []
-        return [Guess(((-0.3, 0.0),), lambda c: (max(-0.3 * c[0], -0.9), 0.0))]
+        return [Guess(((-0.3,),), lambda c: (max(-0.3 * c[0], -0.9),))]
 
     @staticmethod
     def change(robot, joint, values) -> RobotParams:
         friction = robot.friction
-        stiffness, weight = friction.stiffness.copy(), friction.weight.copy()
-        order = np.argsort(np.argsort(stiffness[joint], kind='stable'), kind='stable')
-        tilted = weight[joint] * (1.0 + values[1] * (2.0 * order / max(len(order) - 1, 1) - 1.0))
-        if tilted.sum() > 0.0:
-            weight[joint] = tilted / tilted.sum()
+        stiffness = friction.stiffness.copy()
         stiffness[joint] *= 1.0 + values[0]
-        return replace(robot, friction=replace(friction, stiffness=stiffness, weight=weight))
+        return replace(robot, friction=replace(friction, stiffness=stiffness))
