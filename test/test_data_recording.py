@@ -4,10 +4,14 @@
 from dataclasses import replace
 
 from gms_flex_control.data import signal_analysis
+from gms_flex_control.data.bag import BagWarning
+from gms_flex_control.data.csv_import import import_csv
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.data.recording import on_even_clock, Recording
+from gms_flex_control.data.recording import on_even_clock, Recording, with_own_stamps
 from gms_flex_control.data.signal_analysis import derivatives, low_pass, standing_out
 from gms_flex_control.data.writer import write_recording
+from gms_flex_control.identification.assumed_robot import rigid_joints
+from gms_flex_control.identification.recording_checks import check
 import numpy as np
 import pytest
 from scipy.signal import savgol_filter
@@ -69,6 +73,51 @@ def test_a_pause_stays_as_long_as_it_was():
     stamps = time + np.abs(np.random.default_rng(4).normal(0.0, 0.05 * PERIOD, 4000))
     found = on_even_clock(taken(time, stamps)).time
     np.testing.assert_allclose(found, time, atol=1e-3 * PERIOD)
+
+
+def lost():
+    """Return uneven times before and after some lost samples, and the number before."""
+    time = np.cumsum(PERIOD * np.random.default_rng(6).uniform(0.8, 1.4, 5000))
+    return np.delete(time, np.arange(2501, 2511)), 2501
+
+
+@pytest.mark.parametrize('late', [False, True])
+def test_a_sample_with_the_stamp_of_another_is_left_out(tmp_path, late):
+    """It seems to jump, and to make up for it in the gap beside."""
+    time, row = lost()
+    stamps, wrong = time.copy(), row - 1 if late else row
+    stamps[wrong] = time[row] - PERIOD if late else time[row - 1] + PERIOD
+    recording = taken(time, stamps)
+    found, (said,) = with_own_stamps(recording)
+    np.testing.assert_array_equal(found.time, np.delete(recording.time, wrong))
+    first = f'the first at {recording.time[wrong]:.3f} s'
+    assert f'1 samples were stamped too early or too late, {first}' in said
+    assert 'jump' in {one.kind for one in check(recording, rigid_joints(['a']))}
+    assert 'jump' not in {one.kind for one in check(found, rigid_joints(['a']))}
+    write_recording(tmp_path / 'bag', recording)
+    with pytest.warns(BagWarning, match='1 samples were stamped too early'):
+        read = read_recording(tmp_path / 'bag')
+    np.testing.assert_allclose(read.time, found.time, atol=1e-9)
+    np.savetxt(tmp_path / 'log.csv', np.column_stack([stamps, recording.q_link]), delimiter=',',
+               header='t,q', comments='')
+    (tmp_path / 'map.yaml').write_text(
+        'time: {column: t, unit: s}\njoints:\n  a:\n    link_position: {column: q, unit: rad}\n')
+    log = import_csv(tmp_path / 'log.csv', tmp_path / 'map.yaml')
+    np.testing.assert_allclose(log.recording.time, found.time, atol=1e-9)
+    assert 'stamped too early' in log.remarks[-1]
+
+
+@pytest.mark.parametrize(('slip', 'back'), [
+    (0.1, False), (-0.1, False), (2.0 * np.pi, False), (0.3, True), (-0.3, True)])
+@pytest.mark.parametrize('before', [0, 1])
+def test_a_jump_of_the_angle_beside_a_gap_stays(slip, before, back):
+    """An encoder that slips is off by that after the gap as well, or was before."""
+    time, row = lost()
+    off, at = slip * (np.arange(len(time)) >= row - before), np.arange(len(time))
+    off = np.where(back & (at > row - before), 0.0, off)
+    recording = taken(time, time)
+    recording = replace(recording, q_link=recording.q_link + off[:, None])
+    assert with_own_stamps(recording) == (recording, [])
 
 
 def test_a_bag_is_read_so(tmp_path):

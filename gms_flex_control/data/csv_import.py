@@ -3,13 +3,14 @@
 
 from array import array
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 
 from gms_flex_control.data import csv_map
 from gms_flex_control.data.csv_map import load_map, POSITION_OF
-from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.recording import Recording, with_own_stamps
 from gms_flex_control.errors import did_you_mean, ImportDataError
 import numpy as np
 
@@ -207,11 +208,13 @@ def import_csv(path, import_map, resample=None) -> ImportedLog:
               for joint in import_map.joints]
     remarks += _units_kept(import_map)
     remarks += _units_doubted(import_map)
+    recording, said = with_own_stamps(_recording(str(path), import_map, time, joints))
+    remarks += said
     rate = resample or import_map.resample
     if rate:
-        time, joints = _resampled(time, joints, rate, remarks)
-    return ImportedLog(_recording(str(path), import_map, time, joints),
-                       tuple(joint.motor for joint in import_map.joints), tuple(remarks))
+        recording = _resampled(recording, rate, remarks)
+    return ImportedLog(recording, tuple(joint.motor for joint in import_map.joints),
+                       tuple(remarks))
 
 
 def _time(table, import_map, remarks):
@@ -356,7 +359,8 @@ def estimate_velocity(time, position, window) -> np.ndarray:
     return step / (after - before)
 
 
-def _resampled(time, joints, rate, remarks):
+def _resampled(recording, rate, remarks):
+    time = recording.time
     grid = np.arange(int(np.floor(time[-1] * rate * (1 + 1e-12))) + 1) / rate
     if len(grid) < 2:
         raise ImportDataError(f'resampling {time[-1]:.6g} s at {rate:g} Hz leaves '
@@ -364,8 +368,8 @@ def _resampled(time, joints, rate, remarks):
     own = 1 / float(np.median(np.diff(time)))
     remarks.append(f'resampled from about {own:.4g} Hz to {rate:g} Hz by linear interpolation'
                    + (', without a filter against aliasing' if rate < 0.8 * own else ''))
-    return grid, [{name: np.interp(grid, time, values) for name, values in joint.items()}
-                  for joint in joints]
+    return replace(recording.with_channels(partial(
+        np.apply_along_axis, lambda values: np.interp(grid, time, values), 0)), time=grid)
 
 
 def _recording(source, import_map, time, joints):

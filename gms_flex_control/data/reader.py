@@ -2,11 +2,19 @@
 """Read a bag as a recording, with the phases of its experiment."""
 
 from collections.abc import Sequence
+import warnings
 
 from gms_flex_control.data import cdr
-from gms_flex_control.data.bag import Bag, namespace_of
+from gms_flex_control.data.bag import Bag, BagWarning, namespace_of
 from gms_flex_control.data.conditions import conditions_of, with_conditions
-from gms_flex_control.data.recording import MOTOR_SUFFIX, on_even_clock, Phase, Recording, Topics
+from gms_flex_control.data.recording import (
+    MOTOR_SUFFIX,
+    on_even_clock,
+    Phase,
+    Recording,
+    Topics,
+    with_own_stamps,
+)
 from gms_flex_control.data.series import names_of, Series
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.key import LARGEST, LARGEST_STATE
@@ -74,7 +82,10 @@ def _read(path, joints, motors, topics=None):
     joints, motors = series.sides
     begin, columns = _columns(path, series, motors)
     series.note_others()
-    recording = on_even_clock(Recording(joints=joints, source=str(path), **columns))
+    recording, said = with_own_stamps(on_even_clock(
+        Recording(joints=joints, source=str(path), **columns)))
+    for text in said:
+        warnings.warn(text, BagWarning, stacklevel=3)
     recording = with_conditions(recording, conditions_of(path), motors, known)
     return recording, begin, bag, (phases, messages)
 

@@ -1,10 +1,12 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """One experiment as plain arrays, also at even times; its phases, and which topics hold it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from gms_flex_control.data.signal_analysis import stamped_amiss
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.arm import Body
 import numpy as np
@@ -167,7 +169,11 @@ class Recording:
 
     def of_samples(self, rows) -> 'Recording':
         """Return the Recording of some samples (T,), a mask, or numbers that increase."""
-        return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)
+        return self.with_channels(lambda channel: channel[rows])
+
+    def with_channels(self, change: Callable[[np.ndarray], np.ndarray]) -> 'Recording':
+        """Return the Recording with all that is sampled, (T, ...), time as well, changed."""
+        return replace(self, **{one.name: change(getattr(self, one.name)) for one in fields(self)
                                 if one.name not in (*NOT_SAMPLED, 'scale_sd')})
 
     @property
@@ -223,6 +229,24 @@ def on_even_clock(recording: Recording) -> Recording:
            for angle in angles) >= 0.0:
         return recording
     return replace(recording, time=even)
+
+
+def with_own_stamps(recording: Recording) -> tuple[Recording, list[str]]:
+    """
+    Return a Recording without samples whose stamps are not theirs, and a sentence on them if any.
+
+    A moving angle seems to jump there, and to make up for it in the gap beside.
+    """
+    amiss = np.zeros(len(recording.time), dtype=bool)
+    for angle in (*recording.q_link.T, *recording.q_motor.T):
+        known = np.flatnonzero(np.isfinite(angle))
+        amiss[known[stamped_amiss(recording.time[known], angle[known], recording.period)]] = True
+    if not amiss.any():
+        return recording, []
+    first = recording.time[np.argmax(amiss)]
+    return recording.of_samples(~amiss), [
+        f'{recording.source}: {amiss.sum()} samples were stamped too early or too late, the first '
+        f'at {first:.3f} s: left out']
 
 
 def _slots(stamps):

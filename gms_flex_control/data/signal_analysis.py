@@ -31,6 +31,8 @@ FOLDS = 5              # one in so many blocks is left out, each in turn
 FRICTION_FOLDS = 4     # likewise, where a fit of friction through the predictor is repeated
 
 MOVING = 0.02        # below this part of the top speed a direction is not relied on
+BESIDE = 5           # samples that give the speed beside others
+_HELD = 0.1          # s, as often a slow source gives a reading: longer ones stand
 _ORDER_STEPS = 20    # resolution steps a derivative window should travel at top speed
 _SPEED_TIME = 0.25   # in which a speed is looked for [s]
 NORMAL_MEDIAN = 0.6745  # of the size of a normal variable, in standard deviations
@@ -78,6 +80,66 @@ def derivative_window(time, position) -> float:
     top = np.quantile(travel, 0.9) / _SPEED_TIME
     wanted = _ORDER_STEPS * quantum(position) / top if top > 0 else np.inf
     return float(np.clip(wanted, *_BELL_WINDOWS))
+
+
+def top_speed(time, angle) -> float:
+    """Return about how fast an angle (T,) moves at most [rad/s]."""
+    across = np.abs(angle[2 * BESIDE:] - angle[:-2 * BESIDE]) / (time[2 * BESIDE:]
+                                                                 - time[:-2 * BESIDE])
+    across = across[np.isfinite(across)]
+    # a jump adds but a tenth of itself to this
+    return 1.5 * float(across.max()) if across.size else 0.0
+
+
+def jumps(time, angle, period) -> tuple[np.ndarray, float]:
+    """
+    Return the samples (K,) to which an angle (T,) jumps, worst first, and its most in a period.
+
+    All angles are known.
+    """
+    changed = np.flatnonzero(np.concatenate([[True], np.diff(angle) != 0.0])[:len(angle)])
+    if len(changed) < 20:
+        return changed[:0], 0.0
+    # what a source slower than the log has moved since its last reading comes at once
+    gaps, time, angle = np.diff(time)[changed[1:] - 1], time[changed], angle[changed]
+    since = np.minimum(np.diff(time), _HELD)
+    steps = np.diff(angle) * np.minimum(period / since, 1.0)
+    odd = np.abs(steps - np.median(_beside(steps), axis=0))
+    top = period * top_speed(time, angle)
+    limit = max(3 * np.quantile(odd, 0.99), 4 * quantum(angle), 2 * top)
+    # where the clock is wrong, so are the steps
+    trusted = np.minimum(np.min(_beside(gaps), axis=0), gaps) > 0.5 * period
+    found = np.flatnonzero((odd > limit) & trusted & (gaps < 5 * period))
+    return changed[found[np.argsort(-odd[found], kind='stable')] + 1], top
+
+
+def _beside(values):
+    """Return the two values before and behind each of (T,), shape (4, T)."""
+    padded = np.pad(values, 2, mode='edge')
+    return np.array([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]])
+
+
+def stamped_amiss(time, angle, period) -> np.ndarray:
+    """
+    Return the samples (K,) at which a known angle (T,) seems to jump because of their stamps.
+
+    To the sample and from it the angle moves one way, and in both gaps together as fast as before
+    and after them: the sample was taken at another time between. A jump would add to that way.
+    """
+    found = []
+    for row in jumps(time, angle, period)[0]:
+        for at in (row, row - 1):  # too early, or the one before too late
+            if not BESIDE < at < len(angle) - BESIDE - 1:
+                continue
+            places = at + np.array([-1 - BESIDE, -1, 1, 1 + BESIDE])
+            before, across, after = np.diff(angle[places]) / np.diff(time[places])
+            way = np.sign(across)
+            slowest, fastest = sorted((way * before, way * after))
+            if 0.5 * slowest < abs(across) < 1.5 * fastest and (
+                    way * np.diff(angle[at - 1:at + 2]) >= 0.0).all():
+                found.append(at)
+                break
+    return np.array(found, dtype=int)
 
 
 def smoothed(time, signals, window) -> list[Derivatives]:

@@ -10,8 +10,7 @@ from gms_flex_control.identification.check_basis import Fault, sides
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
-_BESIDE = 5              # samples that give the velocity beside a run of equal ones
-_HELD = 0.1              # s, as often a slow source gives a reading: longer ones stand
+_BESIDE = analysis.BESIDE  # samples that give the velocity beside a run of equal ones
 
 
 def length(*recordings: Recording) -> list[Fault]:
@@ -233,21 +232,12 @@ def broken(signals: Recording) -> list[Fault]:
     found = []
     for j, joint in enumerate(signals.joints):
         for side, q, _ in sides(signals, j):
-            top, unit = signals.period * _top_speed(signals.time, q), analysis.quantum(q)
+            top, unit = signals.period * analysis.top_speed(signals.time, q), analysis.quantum(q)
             grain = max(unit, 3 * _noise(q))
             held = _while_moving(q, np.diff(q) == 0, max(3 * grain, 0.05 * top))
             found += _frozen(signals, joint, f'the {side} angle of {joint} stays', held)
             found += _jumps(signals, joint, side, q, unit)
     return found
-
-
-def _top_speed(time, q):
-    """Return about how fast an angle (T,) moves at most [rad/s]."""
-    across = np.abs(q[2 * _BESIDE:] - q[:-2 * _BESIDE]) / (time[2 * _BESIDE:]
-                                                           - time[:-2 * _BESIDE])
-    across = across[np.isfinite(across)]
-    # a jump adds but a tenth of itself to this
-    return 1.5 * float(across.max()) if across.size else 0.0
 
 
 def _noise(q):
@@ -289,35 +279,16 @@ def _frozen(signals, joint, what, found):
                 'at its own rate')
 
 
-def _beside(values):
-    """Return the two values before and behind each of (T,), shape (4, T)."""
-    padded = np.pad(values, 2, mode='edge')
-    return np.array([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]])
-
-
 def _jumps(signals, joint, side, q, unit):
     known = np.isfinite(q)
     time, q = signals.time[known], q[known]
-    changed = np.flatnonzero(np.concatenate([[True], np.diff(q) != 0.0])[:len(q)])
-    if len(changed) < 20:
-        return
-    # what a source slower than the log has moved since its last reading comes at once
-    gaps, time, q = np.diff(time)[changed[1:] - 1], time[changed], q[changed]
-    since = np.minimum(np.diff(time), _HELD)
-    steps = np.diff(q) * np.minimum(signals.period / since, 1.0)
-    around = np.median(_beside(steps), axis=0)
-    odd = np.abs(steps - around)
-    top = signals.period * _top_speed(time, q)
-    limit = max(3 * np.quantile(odd, 0.99), 4 * unit, 2 * top)
-    # where the clock is wrong, so are the steps
-    trusted = np.minimum(np.min(_beside(gaps), axis=0), gaps) > 0.5 * signals.period
-    jumps = np.flatnonzero((odd > limit) & trusted & (gaps < 5 * signals.period))
+    jumps, top = analysis.jumps(time, q, signals.period)
     moves = np.diff(q)
-    moves[jumps] = 0.0
+    moves[jumps - 1] = 0.0
     if jumps.size and np.ptp(np.cumsum(moves)) > limits.TRAVEL * unit:  # else it gives way once
-        worst = jumps[np.argmax(odd[jumps])]
+        worst = jumps[0]
         yield Fault('jump', joint, 'refuse', f'{signals.source}: the {side} angle of {joint} '
-                    f'jumps {jumps.size} times, most by {q[worst + 1] - q[worst]:.4g} rad in '
-                    f'one sample at {time[worst + 1]:.3f} s (at full speed it moves '
+                    f'jumps {jumps.size} times, most by {q[worst] - q[worst - 1]:.4g} rad in '
+                    f'one sample at {time[worst]:.3f} s (at full speed it moves '
                     f'{top:.2g}); unwrap the angle, or cut the recording there: a clock '
                     'that was set back by whole periods looks like this too')
