@@ -295,6 +295,24 @@ def test_columns_that_look_like_others_are_suspicious(
     assert all(words in line for words, line in zip(said, lines, strict=True))
 
 
+TURNING = PLAIN + '    link_velocity: {column: v, unit: rad/s}\n'
+
+
+@pytest.mark.parametrize(('text', 'factor', 'doubted'), [
+    (TURNING, 1.0, False), (TURNING, np.pi / 180.0, True), (PLAIN, 1.0, True),
+    (PLAIN + '    link_velocity: {estimate: 0.02}\n', 1.0, True)])
+def test_turns_that_a_measured_velocity_confirms_are_not_degrees(
+        tmp_path, capsys, text, factor, doubted):
+    """A pendulum that turns over; its velocity in rad/s, or computed from the angle as it is."""
+    log, import_map = tmp_path / 'log.csv', tmp_path / 'map.yaml'
+    np.savetxt(log, np.column_stack([T, 90.0 * Q, factor * 90.0 * DQ]), delimiter=',',
+               header='t,q,v', comments='')
+    import_map.write_text(text)
+    assert main(['import-csv', str(log), '--map', str(import_map), '--out',
+                 str(tmp_path / 'bag')]) == 0
+    assert ('are these degrees?' in capsys.readouterr().out) == doubted
+
+
 REAL = [('kr300/rec_A.csv', 'import_kr300.yaml'), ('kr300/rec_B.csv', 'import_kr300.yaml')] + [
     (f'bam_xl330/{motion}_{gain}.csv', 'import_bam_xl330.yaml') for gain in ('kp100', 'kp400')
     for motion in ('lift_and_drop', 'sin_sin', 'sin_time_square', 'up_and_down')]

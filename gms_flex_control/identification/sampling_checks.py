@@ -199,10 +199,20 @@ def doubtful_columns(recording: Recording, joints: Sequence) -> list[str]:
                 found.append(f'the {name} of {joint.name} is always 0; is it another column?')
         side = 'link' if 'link_position' in joint.channels else 'motor'
         most = np.nanmax(np.abs(getattr(recording, f'q_{side}')[:, j]), initial=0.0)
-        if joint.angle.unit == 'rad' and limits.TURNS < most <= limits.DEGREES:
+        if joint.angle.unit == 'rad' and limits.TURNS < most <= limits.DEGREES and not (
+                _has_measured_rate(recording, j, side, joint)):
             found.append(f'{joint.name} turns to {most:.3g} rad, {most / (2.0 * np.pi):.0f} turns;'
                          ' are these degrees? Then give unit: deg')
     return found
+
+
+def _has_measured_rate(recording, j, side, joint):
+    """Return whether a velocity, not computed from its angle, is what the angle changes by."""
+    channel = joint.channels.get(f'{side}_velocity')
+    judged = channel and channel.estimate is None and analysis.derivative_slope(
+        recording.time, getattr(recording, f'q_{side}')[:, j],
+        getattr(recording, f'dq_{side}')[:, j])
+    return bool(judged) and _within(judged, limits.SLOPE, limits.SLOPE_FIT)
 
 
 def rates(signals: Recording) -> list[Fault]:
