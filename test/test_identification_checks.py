@@ -247,6 +247,20 @@ def test_cogging_that_a_drive_works_against_does_not_reverse_its_torque():
     assert 'torque_sign' not in {one.kind for one in check(recording, robot)}
 
 
+@pytest.mark.parametrize('pushed', [True, False])
+def test_a_drive_that_brakes_what_others_move_is_asked_about(pushed):
+    """Its spring and damper follow the motion; one that is reversed pushes the wrong way."""
+    like = pendulum(seconds=20.0, pull=0.0)
+    q = like.q_link
+    torque = -0.2 * q - 0.1 * np.gradient(q, like.time, axis=0) if pushed else -like.tau_motor
+    axis = rigid_joints(like.joints)
+    robot = replace(axis, arm=replace(axis.arm, inertia=[0.02]))
+    fault, = check(replace(like, tau_motor=torque), robot)
+    assert fault.kind == 'torque_sign'
+    assert ('do other joints or a load move it? Then go on with --force' in fault.text) == pushed
+    assert ('has the wrong sign' in fault.text) != pushed
+
+
 def switched(levels, seconds=20.0, rate=150.0):
     """Return a Recording of a mass pushed by torques in turn, each as long as the others."""
     time = np.arange(int(seconds * rate)) / rate

@@ -124,15 +124,23 @@ def _directions(balance):
                 'seem exchanged: its torque fits the spring between them only the other way '
                 f'round{proviso}; exchange the two names'))
         elif driven < 0:
-            also = ', and its motor and link are exchanged' if spring > 0 else ''
-            gravity = ', or the gravity of the robot file' if balance.arm.gravity.any() else ''
-            braked = ('. A joint that others move while its drive brakes looks alike: then go on '
-                      'with --force' if len(balance.joints) > 1 else '')
-            found.append(Fault(
-                'torque_sign', name, 'refuse', f'{balance.source}: the torque of {name} has the '
-                'wrong sign: only reversed does it accelerate the joint and overcome '
-                f'friction{also}; reverse it, or the angles{gravity}{braked}'))
+            found.append(Fault('torque_sign', name, 'refuse', (
+                f'{balance.source}: the torque of {name} ' + _braking(balance, j, spring > 0))))
     return found
+
+
+def _braking(balance, j, exchanged):
+    """Return the rest of a sentence on a torque that brakes joint j."""
+    gravity = ', or the gravity of the robot file' if balance.arm.gravity.any() else ''
+    if not exchanged and balance.fits(-balance.motion.tau[:, j], j)[0].weights[0] == 0.0:
+        return ('brakes its motion, but reversed does not accelerate it either; do other joints '
+                'or a load move it? Then go on with --force. Else reverse it, or the angles'
+                + gravity)
+    also = ', and its motor and link are exchanged' if exchanged else ''
+    moved = ('. A joint that others move while its drive brakes looks alike: then go on '
+             'with --force' if len(balance.joints) > 1 else '')
+    return ('has the wrong sign: only reversed does it accelerate the joint and overcome '
+            f'friction{also}; reverse it, or the angles{gravity}{moved}')
 
 
 def _balance_sign(balance, j):
