@@ -247,6 +247,26 @@ def test_cogging_that_a_drive_works_against_does_not_reverse_its_torque():
     assert 'torque_sign' not in {one.kind for one in check(recording, robot)}
 
 
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_a_velocity_of_another_unit_hides_no_other_fault(sign):
+    """Angle and time may be wrong as well, so it is refused; --force goes on and checks those."""
+    like = pendulum(seconds=20.0, pull=0.0)
+    axis = rigid_joints(like.joints)
+    robot = replace(axis, arm=replace(axis.arm, inertia=[0.02]))
+    faulty_one = replace(like, tau_motor=sign * like.tau_motor, dq_link=0.6 * np.gradient(
+        like.q_link, like.time, axis=0))
+    assert [one.kind for one in check(faulty_one, robot)] == ['velocity', 'torque_sign'][
+        :1 if sign > 0.0 else 2]
+    with pytest.raises(IdentificationError, match='0.6 times it .* angle or time are, .*--force'):
+        require(faulty_one, robot)
+    with warnings.catch_warnings(record=True) as caught:
+        found = identify([faulty_one], robot, options=IdentifyOptions(
+            blocks=(1,), force=True)) if sign > 0.0 else None
+    if found is not None:
+        assert found.robot.friction.forward.coulomb[0] == pytest.approx(0.06, rel=0.05)
+        assert any('0.6 times it' in text for text in found.warnings) and not caught
+
+
 @pytest.mark.parametrize('pushed', [True, False])
 def test_a_drive_that_brakes_what_others_move_is_asked_about(pushed):
     """Its spring and damper follow the motion; one that is reversed pushes the wrong way."""

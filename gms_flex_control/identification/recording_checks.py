@@ -345,10 +345,9 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Fault,
     found += sampling_checks.motion(signals)
     found += sampling_checks.rates(signals)
     found += saturated(signals)
-    if not any(fault.kind == 'velocity' for fault in found):
-        loose = [joint for joint, sd in zip(signals.joints, signals.scale_sd, strict=True) if sd]
-        found += [one for one in physics(signals, robot, rough or bool(loose))
-                  if one.kind != 'torque_scale' or one.joint not in loose]
+    loose = [joint for joint, sd in zip(signals.joints, signals.scale_sd, strict=True) if sd]
+    found += [one for one in physics(signals, robot, rough or bool(loose))
+              if one.kind != 'torque_scale' or one.joint not in loose]
     return tuple(found)
 
 

@@ -228,8 +228,9 @@ def rates(signals: Recording) -> list[Fault]:
             found.append(Fault(
                 'velocity', joint, 'warn' if mild else 'refuse', f'{signals.source}: the {side} '
                 f'velocity of {joint} is not the derivative of its angle but {slope:.3g} times '
-                f'it (correlation {fit:.2f}); correct unit, sign or time, or leave the velocity '
-                'out'))
+                f'it (correlation {fit:.2f}): either the velocity is wrong, which no fit uses, or '
+                'angle or time are, and then inertia and friction will be; correct unit, sign or '
+                'time' + ('' if mild else ', or go on with --force if angle and time are right')))
     return found
 
 
