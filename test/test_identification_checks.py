@@ -247,6 +247,19 @@ def test_cogging_that_a_drive_works_against_does_not_reverse_its_torque():
     assert 'torque_sign' not in {one.kind for one in check(recording, robot)}
 
 
+@pytest.mark.parametrize(('rate', 'said'), [(1000.0, False), (200.0, True)])
+def test_samples_that_are_repeated_are_said_where_they_bias_the_inertia(rate, said):
+    """As by clocks that drift: 1.5 % of them, each as late as one period."""
+    recording = faulty.repeated(pendulum(seconds=10.0, pull=0.0, rate=rate), 0.015)
+    axis = rigid_joints(recording.joints)
+    robot = replace(axis, arm=replace(axis.arm, inertia=[0.02]))
+    assert [one.kind for one in check(recording, robot)] == ['frozen'][:said]
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        found = identify([recording], axis, options=IdentifyOptions(estimate='all', blocks=(1,)))
+    assert (found.robot.arm.inertia[0] == pytest.approx(0.02, rel=0.02)) != said
+
+
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 def test_a_velocity_of_another_unit_hides_no_other_fault(sign):
     """Angle and time may be wrong as well, so it is refused; --force goes on and checks those."""

@@ -37,6 +37,7 @@ ONE_WAY = 0.03                  # of the travel is in the other direction
 SLOPE, SLOPE_FIT = (0.85, 1.15), 0.9            # velocity over derivative, correlation: right
 SLOPE_MILD, SLOPE_MILD_FIT = (0.7, 1.4), 0.8    # likewise: warned about, else refused
 FROZEN, FROZEN_WARN, FROZEN_REFUSE = 5, 0.002, 0.3   # samples; shares repeated in motion
+FROZEN_LATE = 2e-4              # rms, by which they make angles late: less biases no inertia [s]
 BEYOND = 2.0                    # times the limits of a URDF: angles that far out are no radians
 TURNS, DEGREES = 4.0 * np.pi, 720.0  # of an angle in rad: between, one is two turns in degrees
 # torque

@@ -245,8 +245,10 @@ def broken(signals: Recording) -> list[Fault]:
         for side, q, _ in sides(signals, j):
             top, unit = signals.period * analysis.top_speed(signals.time, q), analysis.quantum(q)
             grain = max(unit, 3 * _noise(q))
-            held = _while_moving(q, np.diff(q) == 0, max(3 * grain, 0.05 * top))
-            found += _frozen(signals, joint, f'the {side} angle of {joint} stays', held)
+            step = max(3 * grain, 0.05 * top)
+            held = _while_moving(q, np.diff(q) == 0, step)
+            moving = np.sum(np.abs(q[_BESIDE:] - q[:-_BESIDE]) > _BESIDE * step)
+            found += _frozen(signals, joint, f'the {side} angle of {joint} stays', held, moving)
             found += _jumps(signals, joint, side, q, unit)
     return found
 
@@ -276,12 +278,15 @@ def _while_moving(q, equal, step):
     return np.stack([first, end], axis=1)[moving & abrupt]
 
 
-def _frozen(signals, joint, what, found):
-    count = int(np.sum(found[:, 1] - found[:, 0]))
+def _frozen(signals, joint, what, found, moving):
+    in_row = found[:, 1] - found[:, 0]
+    count = int(np.sum(in_row))
     share = count / len(signals.time)
-    if count < limits.FROZEN or share < limits.FROZEN_WARN:
+    squares = np.sum(in_row * (in_row + 1) * (2 * in_row + 1)) / 6  # of 1, 2, ... periods
+    late = signals.period * np.sqrt(squares / max(moving, 1))
+    if count < limits.FROZEN or share < limits.FROZEN_WARN or late < limits.FROZEN_LATE:
         return
-    longest = found[np.argmax(found[:, 1] - found[:, 0])]
+    longest = found[np.argmax(in_row)]
     span = signals.time[longest[1]] - signals.time[longest[0]]
     yield Fault('frozen', joint, 'refuse' if share > limits.FROZEN_REFUSE else 'warn',
                 f'{signals.source}: {what} the same in {count} samples ({100 * share:.2g} %) '
