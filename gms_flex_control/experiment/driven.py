@@ -15,6 +15,7 @@ import time
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording, Topics
 from gms_flex_control.errors import GmsFlexError
+import numpy as np
 
 _STOP_BOUND = 10.0    # a process has so long to end after SIGINT [s]
 TOPICS = Topics()[:4]  # all but the voltage of the supply
@@ -117,17 +118,17 @@ class Processes:
                                    f'{self._where(name)}')
             time.sleep(0.02)
 
-    def stop(self, name: str) -> int:
-        """Send SIGINT and return the exit code; SIGKILL if it does not end."""
+    def stop(self, name: str, bound: float = _STOP_BOUND) -> int:
+        """Send SIGINT and return the exit code; SIGKILL if it does not end within ``bound`` s."""
         process = self._running[name]
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
         try:
-            return process.wait(timeout=_STOP_BOUND)
+            return process.wait(timeout=bound)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-            raise ProcessError(f'{name} did not end within {_STOP_BOUND:g} s of SIGINT'
+            raise ProcessError(f'{name} did not end within {bound:g} s of SIGINT'
                                f'{self._where(name)}') from None
 
     def _ended(self, name):
@@ -180,15 +181,31 @@ def drive_recorded(plan: DrivenPlan, bag: Path, *, log: Path) -> Recording:
         processes.start('recorder', [*executable('gms_flex'), 'record', '--topics', *TOPICS,
                                      '--out', str(bag)])
         # the model last: what the controller believes
+        # nobody answers the first state before the recorder hears the answer
         processes.start_node('controller', [*plan.files, plan.model],
-                             {'compensation': plan.compensation})
-        processes.start_node('trajectory', plan.files, {'trajectory.autostart': True})
-        # the recorder must hear the first answer, and that comes right after the first state
+                             {'compensation': plan.compensation, 'recorders': 1})
+        processes.start_node('trajectory', plan.files,
+                             {'trajectory.autostart': True, 'recorders': 1})
         processes.wait_for_text('recorder', [f'subscribed to {topic} ' for topic in TOPICS[1:]],
                                 START_BOUND)
         processes.start_node(
             'plant', plan.files if plan.plant is None else [*plan.files, plan.plant],
             {'rate': plan.rate, 'duration': plan.duration, 'wait_for_subscribers': LISTENERS})
         processes.wait('plant', bound)
-        processes.stop_all('trajectory', 'controller', 'recorder')
-    return read_recording(bag)
+        processes.stop_all('trajectory', 'controller')
+        processes.stop('recorder', START_BOUND)  # it writes first what waits
+    return _require_whole(read_recording(bag), plan)
+
+
+def _require_whole(recording, plan):
+    """Return the Recording; raise ProcessError if a sample of the plan lacks anything."""
+    period = round(1e9 / plan.rate)
+    planned = max(1, round(plan.duration * 1e9 / period))
+    known = [np.isfinite(values).any(axis=tuple(range(1, values.ndim))) for values in (
+        recording.command, recording.reference, recording.friction_hat)]
+    lost = planned - int(np.all(known, axis=0).sum())
+    if lost > 0:
+        raise ProcessError(f'{recording.source}: {lost} of {planned} samples lack their state or '
+                           'an answer, lost on the way to the recorder, which stood still or was '
+                           'stopped; repeat the command')
+    return recording

@@ -6,7 +6,7 @@ import time
 
 from gms_flex_control.control.feedforward import as_parameters, compensated
 from gms_flex_control.control.gain_conditions import violations
-from gms_flex_control.nodes import messages, process, scheduling
+from gms_flex_control.nodes import messages, scheduling
 from gms_flex_control.nodes.following import Follower, Reference
 from gms_flex_control.nodes.health import Health, WARN
 from gms_flex_control.nodes.parameters import ConfiguredNode, NodeParameters
@@ -105,7 +105,13 @@ class _Outputs:
     def finish(self, stamp) -> None:
         """Leave zero on the wire, and stay until those who acknowledge have it."""
         self.zero(stamp)
-        self._command_pub.wait_for_all_acked(process.GOODBYE)
+        for publisher in (self._command_pub, self._state_pub):
+            publisher.wait_for_all_acked()
+
+    def are_heard(self, recorders) -> bool:
+        """Return whether the plant hears the commands, and so many recorders these and states."""
+        return (self._command_pub.count_hearers() > recorders
+                and self._state_pub.count_hearers() >= recorders)
 
 
 class ControllerNode(ConfiguredNode):
@@ -118,7 +124,7 @@ class ControllerNode(ConfiguredNode):
         values, joints = parameters.values, parameters.joints
         self._robot = robot = robot_from_values(values)
         gains = controller_from_values(values, joints)
-        self._lockstep = values['mode'] == 'lockstep'
+        self._lockstep, self._recorders = values['mode'] == 'lockstep', values['recorders']
         self._waiting = None     # stamp of a state that waits for its reference, lockstep only
         self._warned = []        # sentences on the gains as they are
         self._counts = dict.fromkeys(('states answered', 'states refused', 'references refused',
@@ -149,6 +155,7 @@ class ControllerNode(ConfiguredNode):
 
     def run(self, spinner) -> None:
         """Answer joint states until a signal comes."""
+        self.wait_for_recorders(spinner, self._recorders, self._outputs.are_heard)
         while spinner.goes_on():
             self.attend(spinner)
 

@@ -230,8 +230,8 @@ class IdentificationNode(ConfiguredNode):
     def _record(self, path):
         with ExperimentBag(self, path, self._phase_pub, self.say) as bag:
             recorder = bag.recorder
-            self.until(lambda: recorder.poll() or not recorder.missing,
-                       lambda: f'nobody publishes {", ".join(recorder.missing)}')
+            self.until(lambda: recorder.poll() or not recorder.unheard,
+                       lambda: f'nobody publishes {", ".join(recorder.unheard)}')
             self._bag = bag
             try:
                 self._carry_out()

@@ -33,6 +33,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 _PATIENCE = 5.0  # with a topic that has the URDF [s]
+_LOOK_PERIOD = 0.02  # between looks whether recorders are there [s]
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _BUILT_IN = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 _TYPES = {kind: getattr(ParameterType, f'PARAMETER_{kind.upper()}')
@@ -88,6 +89,11 @@ class ConfiguredNode(Node):
         handler = self.health.guard(trigger(name, act))
         self.create_service(Trigger, f'~/{name}', handler)
         self.direct.services[self.resolve_service_name(f'~/{name}')] = handler
+
+    def wait_for_recorders(self, spinner, recorders, are_heard) -> None:
+        """Hear nothing before ``are_heard(recorders)``, if there are to be any."""
+        while recorders and spinner.goes_on() and not are_heard(recorders):
+            time.sleep(_LOOK_PERIOD)
 
     def finish(self) -> None:
         """Leave zero torque on the wire, where this node gives torque."""

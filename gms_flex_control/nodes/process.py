@@ -32,6 +32,7 @@ _LONGEST_END = 2.0  # of a start that a signal cuts short [s]
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 LAUNCHED = 'GMS_FLEX_LAUNCHED'  # set in the environment of what our launch files start
 _PR_SET_PDEATHSIG = 1
+MOST_KEPT = 5000  # by Fast DDS of a topic, whatever is asked for: of more it takes no newer ones
 GOODBYE = Duration(seconds=0.5)  # for the last zero to arrive: a subscriber may be frozen
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _BUILT_IN = 'FASTDDS_BUILTIN_TRANSPORTS'
@@ -43,7 +44,7 @@ _IGNORE_OWN = 'fastdds.ignore_local_endpoints'
 
 def publisher_qos(mode) -> QoSProfile:
     """Return the quality of service of what we publish; in lockstep a recorder may fall behind."""
-    return QoSProfile(depth=1000 if mode == 'lockstep' else 10,
+    return QoSProfile(depth=MOST_KEPT if mode == 'lockstep' else 10,
                       reliability=ReliabilityPolicy.RELIABLE)
 
 

@@ -10,7 +10,8 @@ import time
 from gms_flex_control.data.metadata import qos_profile
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
-from gms_flex_control.nodes.process import end_with_launch, hidden_node, NO_EVENTS
+from gms_flex_control.nodes.process import end_with_launch, hidden_node, MOST_KEPT, NO_EVENTS
+from gms_flex_control.nodes.topics import all_waiting
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -18,7 +19,6 @@ from rclpy.serialization import serialize_message
 from rclpy.task import Future
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-_DEPTH = 5000  # half a second of the fastest lockstep run; memory is taken as it is needed
 _DRAIN_PERIOD = 0.02    # [s]; with the writer's flush period this is what kill -9 can take
 _LOOK_PERIOD = 0.05     # between looks whether recording is over [s]
 _SEARCH_PERIOD = 0.1    # between looks at the graph while a topic is missing [s]
@@ -50,6 +50,11 @@ class Recorder:
     def missing(self) -> list:
         """Return the wanted topics that are not recorded yet."""
         return [name for name in self._wanted or () if name not in self._subscriptions]
+
+    @property
+    def unheard(self) -> list:
+        """Return the wanted topics without a message yet: their publishers may not know of us."""
+        return [name for name in self._wanted or () if not self._writer.counts.get(name)]
 
     def poll(self) -> None:
         """Subscribe to what has appeared, cheaply; raises BagError if the bag takes no more."""
@@ -104,7 +109,7 @@ class Recorder:
             self._refused.add(name)
             self._say(f'not recorded: {error}')
             return
-        profile = QoSProfile(depth=_DEPTH, reliability=reliability, durability=durability)
+        profile = QoSProfile(depth=MOST_KEPT, reliability=reliability, durability=durability)
         queue = self._queue
 
         def on_message(data):
@@ -133,7 +138,10 @@ class Recorder:
             self._writer.write(*self._queue.popleft())
 
     def close(self) -> None:
-        """Write what is queued and stop; raises BagError if the bag could not be written."""
+        """Write all that has come and stop; raises BagError if the bag could not be written."""
+        for name, subscription in self._subscriptions.items():
+            for data, _ in all_waiting(subscription, MOST_KEPT):
+                self._queue.append((name, time.time_ns(), data))
         self._stop.set()
         self._thread.join()
         if self._error is not None:

@@ -217,4 +217,5 @@ class SimulatedRobot(supervision.SupervisedRobot):
             **self._commands.figures(time.monotonic_ns())}
 
     def finish(self) -> None:
-        """End: a simulated robot needs no last zero."""
+        """Stay until those who acknowledge have the last state; it needs no last zero."""
+        self._arm.outlet.wait_for_all_acked()

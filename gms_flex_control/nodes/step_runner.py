@@ -257,8 +257,8 @@ class _Runner:
         self._until(self._trajectory.is_ready, 'the services of /trajectory are not there: start '
                     'plant_node or the bridge, controller_node and trajectory_node first',
                     self._patience)
-        self._until(lambda: not self._recorder.missing and self._stamp is not None,
-                    'not all nodes publish', self._patience, self._recorder)
+        self._until(lambda: not self._unheard() and self._stamp is not None,
+                    'not all nodes publish', self._patience, self._unheard)
         answer = self._answer(self._trajectory.set_parameters(parameters)).result
         if not answer.successful:
             raise RunError(f'/trajectory refuses the motion: {answer.reason}')
@@ -278,13 +278,18 @@ class _Runner:
         self._until(future.done, '/trajectory does not answer', _BOUND)
         return future.result()
 
-    def _until(self, done, otherwise, bound, recorder=None):
+    def _unheard(self):
+        """Return what is not recorded yet; a controller has a state only while it follows."""
+        missing, unheard = self._recorder.missing, self._recorder.unheard
+        return [name for name in unheard if name in missing or name in TOPICS[:3]]
+
+    def _until(self, done, otherwise, bound, unheard=None):
         """Spin until something is done; raise RunError, with what is missing, after a while."""
         end = time.monotonic() + bound
         while not done():
             self._spin()
             if time.monotonic() > end:
-                missing = f' ({", ".join(recorder.missing)} missing)' if recorder else ''
+                missing = f' ({", ".join(unheard())} missing)' if unheard else ''
                 raise RunError(f'{otherwise}{missing}; same ROS_DOMAIN_ID?')
 
     def _pass(self, duration):

@@ -22,10 +22,13 @@ import time
 
 from gms_flex_control.data.cdr import STAMP_LABEL
 from gms_flex_control.nodes import process
+from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+_UNSEEN = 2000     # messages in lockstep that those who acknowledge may be behind by
+_PATIENCE = Duration(seconds=4.0)  # with them: they may be frozen, or have been killed
 DEPTH = 1000       # messages; a storm brings some 100 in a millisecond
 _AT_ONCE = 100     # messages of a topic that are taken before others have their turn
 _KEPT = 10         # the newest of those waiting, after a stall
@@ -56,11 +59,12 @@ class Outlet:
     Publisher of one reused message of ``kind``, which nodes of the same process may hear.
 
     They hear it after it was published, so that nobody gets an answer before what it answers;
-    ``ahead``, they hear it first: an effort of a real robot waits for no recorder.
+    ``ahead``, they hear it first: an effort of a real robot waits for no recorder. In lockstep it
+    waits: nobody falls so far behind that a message is lost.
     """
 
     def __init__(self, node, kind, topic, mode='realtime', ahead=False):
-        self._ahead = ahead
+        self._ahead, self._lockstep, self._sent = ahead, mode == 'lockstep', 0
         self._publisher = node.create_publisher(kind, topic, process.publisher_qos(mode))
         self._hearers = node.direct.hearers[self._publisher.topic_name]
         self._serialized = None
@@ -84,14 +88,17 @@ class Outlet:
             if self._serialized is None:
                 self._serialized = Serialized(message)
             self._publish(self._serialized.data())
+            self._sent += 1
+            if self._lockstep and self._sent % _UNSEEN == 0:
+                self.wait_for_all_acked()
 
     def count_hearers(self) -> int:
         """Return how many take the message, here and elsewhere."""
         return self.count_others() + len(self._hearers)
 
-    def wait_for_all_acked(self, timeout) -> None:
-        """Wait until those who acknowledge have what was published, for ``timeout`` at most."""
-        self._publisher.wait_for_all_acked(timeout)
+    def wait_for_all_acked(self) -> None:
+        """Wait a while until those who acknowledge have what was published."""
+        self._publisher.wait_for_all_acked(_PATIENCE if self._lockstep else process.GOODBYE)
 
 
 def all_waiting(subscription, most) -> Iterator:

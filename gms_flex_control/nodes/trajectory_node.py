@@ -43,6 +43,7 @@ class TrajectoryNode(ConfiguredNode):
         values, joints = parameters.values, parameters.joints
         self._gives_way = direct is None and values['mode'] != 'lockstep'
         self._lockstep, self._links = values['mode'] == 'lockstep', LinkStates(joints)
+        self._recorders = values['recorders']
         frames = frames_from_values(values, joints)
         offset = np.array([values[f'arm.{joint}.offset'] for joint in joints])
 
@@ -115,7 +116,13 @@ class TrajectoryNode(ConfiguredNode):
 
     def run(self, spinner) -> None:
         """Publish until a signal comes."""
+        self.wait_for_recorders(spinner, self._recorders, lambda recorders: (
+            self._reference_pub.count_hearers() > recorders))
         spinner.spin()
+
+    def finish(self) -> None:
+        """Stay until those who acknowledge have the last reference."""
+        self._reference_pub.wait_for_all_acked()
 
     def _on_joint_states(self, message):
         """Return whether the message was read and accepted."""

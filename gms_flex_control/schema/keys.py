@@ -28,8 +28,10 @@ MODE = Key('mode', 'paced by the clock, or each sample waits for its command', d
            choices=('realtime', 'lockstep'))
 PRIORITY = Key('realtime_priority', 'of the whole process, SCHED_FIFO of Linux where it is '
                'permitted; 0 for none', '', 0, 0, 99)
+RECORDERS = Key('recorders', 'answer no joint state before so many record what is published', '',
+                0, 0, 100)
 CONTROLLER_NODE = (  # beyond robot and gains
-    MODE, PRIORITY,
+    MODE, PRIORITY, RECORDERS,
     Key('reference_timeout', 'age of a reference that is still followed', 's', 0.1, 1e-3, 10.0),
     Key('reference_hold', 'how long a lost motion is braked and held', 's', 2.0, 0.0, 1e7),
     Key('reference_relax', 'in what time the torque then goes to zero', 's', 1.0, 0.0, 1e4),
@@ -202,7 +204,7 @@ def bridge_keys(joints) -> tuple[Key, ...]:
 
 def trajectory_keys(joints) -> tuple[Key, ...]:
     """Return the keys of the trajectory node."""
-    return (MODE, PRIORITY, *below('trajectory', _TRAJECTORY),
+    return (MODE, PRIORITY, RECORDERS, *below('trajectory', _TRAJECTORY),
             *_of_each(joints, 'trajectory', _MOTION))
 
 
