@@ -168,6 +168,20 @@ def test_friction_that_grows_with_the_load_is_found_and_stands_beside_the_rest()
     assert np.std(left) < 0.1 * np.std(recorded.tau_motor)
 
 
+def test_of_axes_that_are_wholly_unknown_those_that_are_asked_for_are_found():
+    one, other = pendulum(seconds=20.0), pendulum(seconds=20.0, inertia=0.04, seed=3, pace=1.3)
+    both = Recording(
+        joints=('one', 'other'), time=one.time, source='two axes',
+        **{name: np.hstack([getattr(one, name), getattr(other, name)])
+           for name in ('q_link', 'tau_motor')})
+    found = identify([(both, ())], rigid_joints(both.joints),
+                     options=replace(ALL, joints=('other',))).robot
+    alone = identify([(both.of_joints(['other']), ())], rigid_joints(['other']), options=ALL).robot
+    assert found.joints == ('other',)
+    assert found.arm.inertia == alone.arm.inertia
+    assert found.friction.forward.coulomb == alone.friction.forward.coulomb
+
+
 def varying(recorded, size, order, phase=0.0):
     """Return a Recording whose friction varies with the angle as well, by ``size`` [N m]."""
     q = recorded.q_link[:, 0]

@@ -32,7 +32,8 @@ class IdentifyOptions:
     blocks: tuple = CANDIDATES   # numbers of blocks to try
     force: bool = False          # go on in spite of faults in the data
     widened: float = 1.0         # standard deviations of the arm's parameters, times the usual
-    joints: tuple = ()           # whose friction is fitted, that of others is right; () all
+    joints: tuple = ()           # that are fitted, () all: that of others is right, or, where
+    #                              the arm is estimated as well, they are left out
 
 
 def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
@@ -73,6 +74,9 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
     with own_warnings() as caught, in_one_thread():  # joints have threads of their own
         say('checking the data')
         whole = options.estimate == 'all'
+        if whole and options.joints:
+            robot, options = assumed_robot.only_joints(robot, options.joints), replace(
+                options, joints=())
         model = assumed_robot.believed_model(widened(robot, options.widened), whole, options.force)
         recordings, holdouts = (
             [(_checked(assumed_robot.as_assumed(one, robot), model, options), phases)
