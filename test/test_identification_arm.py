@@ -182,6 +182,30 @@ def test_of_axes_that_are_wholly_unknown_those_that_are_asked_for_are_found():
     assert found.friction.forward.coulomb == alone.friction.forward.coulomb
 
 
+def test_viscous_friction_that_bends_is_found_where_it_does_alone():
+    """As of a lubricant that thins: 1.8 times as steep as a straight line where it begins."""
+    straight = pendulum(seconds=30.0)
+    rate = np.gradient(straight.q_link[:, 0], straight.time)
+    bent = replace(straight, tau_motor=(straight.tau_motor[:, 0] + 0.03 * np.arcsinh(
+        rate / 0.3))[:, None])
+    assert not identify([(straight, ())], rigid_joints(straight.joints), options=ALL).robot.effects
+    found = identify([(bent, ())], rigid_joints(bent.joints), options=ALL)
+    effect, = found.robot.effects
+    assert (effect.name, effect.joint) == ('shear_thinning', 'swing')
+    assert found.robot.arm.inertia + found.robot.arm.mass * found.robot.arm.com ** 2 == (
+        pytest.approx(0.02, rel=0.02))
+    joint, = found.joints
+    speed = joint.steady_velocity[np.abs(joint.steady_velocity) > 0.1]
+    truth = 0.06 * np.sign(speed) + 0.01 * speed + 0.03 * np.arcsinh(speed / 0.3)
+    shown = np.interp(speed, joint.steady_velocity, joint.steady_torque)
+    assert np.abs(shown - truth).max() < 0.05 * np.abs(truth).max()
+    assert joint.held_out.relative < 0.5 * joint.held_out.coulomb_viscous
+    row = {row.name: row for row in joint.estimates}['effects.swing.shear_thinning.torque']
+    assert row.value == effect.values[0] and row.interval.low < row.value < row.interval.high
+    left = unexplained(motion_of(bent, found.robot), plant.constants_of(found.robot))
+    assert np.std(left) < 0.03 * np.std(bent.tau_motor)
+
+
 def varying(recorded, size, order, phase=0.0):
     """Return a Recording whose friction varies with the angle as well, by ``size`` [N m]."""
     q = recorded.q_link[:, 0]

@@ -11,8 +11,8 @@ from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_differences import base_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters
-from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.inertial_parameters import base_of, link_regressors, sizes_of
+from gms_flex_control.identification.objective import friction_torque
 from gms_flex_control.identification.segments import segments_of
 from gms_flex_control.params.arm import require_body
 from gms_flex_control.schema.files import load_robot, save_robot

@@ -1,17 +1,41 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
-"""Friction against velocity (Fig. 3): the Stribeck curve through it, and where a fit begins."""
+"""
+Friction against velocity (Fig. 3): the Stribeck curve through it, and where a fit begins.
+
+A Stribeck curve falls with speed and viscous friction is straight, so that no GMS model has
+friction that rises steeply at first and less later, as of a lubricant that thins as it is
+sheared. What a fit leaves of the torque shows it; it is then fitted along with friction.
+"""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 import warnings
 
-from gms_flex_control.dynamics.chain import inverse_dynamics
+from gms_flex_control.data.signal_analysis import low_pass, rms
+from gms_flex_control.effects import base as sig
+from gms_flex_control.effects.catalogue.friction_shape import ShearThinning
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.coordinates import DROP, LAG
-from gms_flex_control.identification.outcome import FrictionMap
-from gms_flex_control.identification.segments import filled, Segment, torque_at_samples
+from gms_flex_control.identification.criterion import WORTH
+from gms_flex_control.identification.objective import (
+    block_length,
+    friction_torque,
+    Objective,
+    torque_memory,
+)
+from gms_flex_control.identification.outcome import (
+    CONFIDENT,
+    Estimate,
+    estimated,
+    FrictionMap,
+    WIDE,
+)
+from gms_flex_control.identification.robust_regression import first_coefficient, held_out_error
+from gms_flex_control.identification.segments import filled, Segment
 from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
@@ -29,6 +53,7 @@ _LEAST = 0.05       # of the largest torque: F_c of a straight curve
 _FAINT = 0.1        # factor of friction that effects leave, at least: less says nothing of it
 _FINEST = 0.25      # of an encoder step: smallest yield of the spread
 _WIDEST = 0.3       # largest yield of the spread [rad], or the joint's travel
+_BENDS = np.geomspace(0.05, 2.0, 8)  # of the usual speed: where viscosity begins to fall
 
 
 class Stribeck(NamedTuple):
@@ -58,18 +83,6 @@ class Start(NamedTuple):
     def both(self) -> tuple[np.ndarray, np.ndarray]:
         """Return steady parameters (4, 2) forward and backward, as fitted and as straight."""
         return tuple(np.array(pair).T for pair in ((self.forward, self.backward), self.straight))
-
-
-def friction_torque(segment: Segment, arm: ArmParams) -> np.ndarray:
-    """
-    Return the friction torque of each link by its equation of motion, (T, n_joints) [N m].
-
-    It opposes positive motion. Eq. (1), link: ``F_f = K (q2 - q1) - M q1'' - C q1' - g``; the
-    arm is rigid where the motor's torque drives the link.
-    """
-    angle = filled(segment.angle)
-    return torque_at_samples(segment) - inverse_dynamics(
-        angle, segment.rate, segment.acceleration, arm)
 
 
 def friction_map(segments: Sequence[Segment], arm: ArmParams, joint: int, period: float,
@@ -237,3 +250,75 @@ def repeatability(segments: Sequence[Segment], arm: ArmParams, joint: int, perio
                     table[rows[begin + _LAGGING:end], 1].mean())
     spreads = [np.var(values, ddof=1) for values in groups.values() if len(values) > 1]
     return float(np.sqrt(np.mean(spreads))) if spreads else float('nan')
+
+
+def thinned_friction(thinning: EffectSpec, rate: np.ndarray) -> np.ndarray:
+    """Return the friction torque (T,) at rates (T,) [N m]."""
+    signals = {sig.DQ_LINK: rate, sig.FRICTION: np.zeros(len(rate))}
+    ShearThinning.apply(signals, thinning.values, None, 0.0)
+    return signals[sig.FRICTION]
+
+
+def thinning_of(objective: Objective, joint: str, theta: np.ndarray,
+                step: float) -> EffectSpec | None:
+    """
+    Return the ShearThinning in the torque that parameters leave, None where none predicts more.
+
+    ``step`` is the encoder step or noise [rad].
+    """
+    rates = np.concatenate([one.rate[:, objective.joint] for one in objective.bundle.segments])
+    usual, fastest = rms(rates), float(np.abs(rates).max())
+    tries = [EffectSpec(name=ShearThinning.name, joint=joint, values=(1.0, share * usual, fastest))
+             for share in _BENDS]
+    columns, left, block = (np.concatenate(part) for part in zip(*(
+        _left(objective, segment, theta, step, tries) for segment in objective.bundle.segments),
+        strict=True))
+    beside = columns[:, len(tries):]
+    with_one = [np.column_stack([columns[:, k], beside]) for k in range(len(tries))]
+    errors = [held_out_error(one, left, block) for one in with_one]
+    best = int(np.argmin(errors))
+    if not errors[best] < WORTH * held_out_error(beside, left, block):
+        return None
+    period, windows = objective.bundle.period, [one.window for one in objective.bundle.segments]
+    torque, error = first_coefficient(with_one[best], left, block, torque_memory(period, windows))
+    return _times(tries[best], torque) if torque > CONFIDENT * error else None
+
+
+def _left(objective, segment, theta, step, tries):
+    """
+    Return columns (T, C), the torque that is left (T,) and numbers of blocks, where it judges.
+
+    Columns are those of ``tries``, of Coulomb and viscous friction by direction, inertia and
+    what else is fitted along with friction.
+    """
+    joint, bundle = objective.joint, objective.bundle
+    keep, rate = bundle.judged(segment, joint, step), segment.rate[:, joint]
+    ways = np.stack([rate > 0.0, -1.0 * (rate < 0.0)], axis=1)
+    friction = np.column_stack([
+        *(thinned_friction(one, rate) for one in tries), ways, np.abs(rate)[:, None] * ways])
+    columns = np.column_stack([segment.factor[:, [joint]] * friction,
+                               segment.acceleration[:, joint], objective.extra(segment)])
+    left = objective.measured(segment) - objective.resistance(segment, theta)
+    block = segment.first_block + np.arange(len(rate)) // block_length(bundle.period)
+    return (low_pass(columns, segment.window)[keep], low_pass(left, segment.window)[keep],
+            block[keep])
+
+
+def _times(thinning, factor):
+    torque, *others = thinning.values
+    return replace(thinning, values=(float(factor * torque), *others))
+
+
+def fitted_thinning(thinning: EffectSpec, share: float) -> EffectSpec | None:
+    """Return the effect as fitted, so many times what was begun with, None where there is none."""
+    return _times(thinning, share) if share > 0.0 else None
+
+
+def thinning_estimate(thinning: EffectSpec, error: float) -> Estimate:
+    """Return the Estimate of a ShearThinning whose torque has a standard error [N m]."""
+    torque, velocity, speed = thinning.values
+    known = CONFIDENT * error < WIDE * torque
+    note = (f'viscous friction bends: at most this above the straight line up to {speed:.3g} '
+            f'rad/s, where it begins to at about {velocity:.2g} rad/s')
+    return estimated(f'effects.{thinning.joint}.{thinning.name}.torque', 'N m', torque, error,
+                     note if known else ShearThinning.discriminated_by, known)

@@ -95,8 +95,14 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         problem, fits = _fitted(first, options, say)
         if (model.arm.kind == 'planar' and model.n_joints > 1 and not whole
                 and problem.unexplained(fits).max() > NEXT_TO_NOTHING):
-            say('each joint by itself')
+            say('each joint by itself')  # what the model lacks at one disturbs all together
             problem, fits = _better((problem, fits), _fitted(first.each_alone(), options, say))
+        if problem.whole and (thinned := problem.thinned(fits)):
+            say('viscous friction that bends')
+            bent = _fitted(problem.beside_thinned(thinned), options, say)
+            if len(bent[0].found_thinned(bent[1])) == len(thinned):
+                problem, fits = _better(
+                    (problem, fits), bent, [one.joint for one in thinned])
         if words := problem.words():
             warnings.warn(words, stacklevel=2)
         say('intervals and errors on data held out')
@@ -150,14 +156,12 @@ def _fitted(problem, options, say):
     return problem, problem.choose(fits, say)
 
 
-def _better(together, apart):
-    """
-    Return the Problem and JointFits of joints taken apart where they explain more torque held out.
-
-    Together, what the model lacks at one joint disturbs all; apart, accelerations have noise.
-    """
-    left, right = (np.log(problem.unexplained(fits)).mean() for problem, fits in (together, apart))
-    return apart if right < left + np.log(WORTH) else together
+def _better(usual, other, joints=()):
+    """Return ``other`` Problem and JointFits where they explain more held-out torque of joints."""
+    which = [not joints or joint in joints for joint in usual[0].robot.joints]
+    left, right = (np.log(problem.unexplained(fits)[which]).mean() for problem, fits in (
+        usual, other))
+    return other if right < left + np.log(WORTH) else usual
 
 
 def _currents_of(recordings, robot, whole):

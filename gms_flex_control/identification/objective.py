@@ -10,13 +10,14 @@ from gms_flex_control import records
 from gms_flex_control.data.signal_analysis import BLOCK_TIME, FRICTION_FOLDS
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
-from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.segments import (
+    filled,
     moving,
     own_inertias,
     Segment,
     SETTLE_TIME,
     smooth_angle,
+    torque_at_samples,
 )
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.simulation import plant, predictor
@@ -144,6 +145,18 @@ def observer_bandwidth(arm: ArmParams, coulomb, half, noise, period: float) -> n
     step = np.maximum(2.0 * half, 3.0 * noise)
     wanted = np.sqrt(_LOAD_PER_STEP * coulomb / (inertia * np.maximum(step, 1e-12)))
     return np.clip(wanted, _SLOWEST, min(_FASTEST, _FASTEST_STEP / period))
+
+
+def friction_torque(segment: Segment, arm: ArmParams) -> np.ndarray:
+    """
+    Return the friction torque of each link by its equation of motion, (T, n_joints) [N m].
+
+    It opposes positive motion. Eq. (1), link: ``F_f = K (q2 - q1) - M q1'' - C q1' - g``; the
+    arm is rigid where the motor's torque drives the link.
+    """
+    angle = filled(segment.angle)
+    return torque_at_samples(segment) - chain.inverse_dynamics(
+        angle, segment.rate, segment.acceleration, arm)
 
 
 def friction_along(segment: Segment, joint: int, period: float) -> Callable:

@@ -13,14 +13,23 @@ from gms_flex_control.identification.arm_differences import difference_estimates
 from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.arm_regression import fit_differences
 from gms_flex_control.identification.believed_arm import believed
-from gms_flex_control.identification.coordinates import friction_record, STATICS, theta_of
+from gms_flex_control.identification.coordinates import (
+    friction_record,
+    MOST_BLOCKS,
+    STATICS,
+    theta_of,
+)
 from gms_flex_control.identification.criterion import choose_fit, left_of_torque, simple_theta
 from gms_flex_control.identification.friction_fit import fit_all
 from gms_flex_control.identification.friction_map import (
+    fitted_thinning,
     friction_map,
     moves,
     repeatability,
     start_of,
+    thinned_friction,
+    thinning_estimate,
+    thinning_of,
 )
 from gms_flex_control.identification.objective import (
     Bundle,
@@ -42,7 +51,14 @@ from gms_flex_control.identification.segments import (
     while_moved,
 )
 from gms_flex_control.identification.selection import few_blocks, objectives_of
-from gms_flex_control.params.robot import FrictionParams, RobotParams, StribeckParams
+from gms_flex_control.params.robot import (
+    EffectSpec,
+    FrictionParams,
+    RobotParams,
+    StribeckParams,
+    with_effects,
+)
+from gms_flex_control.simulation.predictor import parameter_rows
 import numpy as np
 
 _SAME_PERIOD = 0.01   # relative difference of sample periods of recordings fitted together
@@ -59,9 +75,11 @@ class Problem:
     friction is fitted ``beside`` a Believed arm, by default what the recordings show. Joints are
     taken ``alone``, each with the motion of the others as measured; those of a planar chain may
     move together. Friction is fitted of joints ``only`` (str), () all; that of others is right.
+    Of ``thinned`` (EffectSpec of ShearThinning, one a joint) the torques are fitted as well.
     """
 
-    def __init__(self, given, holdouts, robot, *, whole=False, alone=True, beside=None, only=()):
+    def __init__(self, given, holdouts, robot, *, whole=False, alone=True, beside=None, only=(),
+                 thinned=()):
         self.whole, self._given, self._only = whole, (given, holdouts, robot), only
         half = half_count(given[0][0].of_joints(robot.joints), robot)  # of readings as they are
         recordings, believed_robot = self._settle_arm(
@@ -89,11 +107,12 @@ class Problem:
                                 self.arm_fit.joints[j].friction if whole else None)
                        for k, j in enumerate(self.fitted)]
         coulomb = np.array([start.forward.coulomb for start in self.starts])
-        extras = self.arm_fit.extras() if whole else (None,) * robot.n_joints
+        self._thinned = [next((one for one in thinned if one.joint == robot.joints[j]), None)
+                         for j in self.fitted]
         self.bundle = Bundle(
             tuple(segments), arm, period, half,
             observer_bandwidth(arm, coulomb, half, self.step / 3.0, period),
-            tuple(extras[j] for j in self.fitted))
+            tuple(map(self._further_torques, range(len(self.fitted)))))
         self.choices = ()
 
     def _settle_arm(self, recordings, robot, beside):
@@ -162,12 +181,40 @@ class Problem:
                     'as described, a placeholder where nothing was stated', stacklevel=4)
         return fitted
 
+    def _of_arm(self, k):
+        """Return a function Segment -> torques (T, R) of the k-th joint fitted, or None."""
+        return self.arm_fit.extras()[self.fitted[k]] if self.whole else None
+
+    def _further_torques(self, k):
+        """Return likewise, beside the friction of thinning."""
+        own, thinned = self._of_arm(k), self._thinned[k]
+        if thinned is None:
+            return own
+        return lambda segment: np.column_stack([
+            -segment.factor[:, k] * thinned_friction(thinned, segment.rate[:, k]),
+            *([own(segment)] if own else [])])
+
+    def thinned(self, fits) -> list[EffectSpec]:
+        """Return the ShearThinning of each joint in whose torque JointFits leave one."""
+        found = _per_joint(thinning_of, objectives_of(self.bundle, fits),
+                           self.robot.joints, [fit.theta for fit in fits], self.step)
+        return [one for one in found if one]
+
+    def beside_thinned(self, thinned) -> Self:
+        """Return the Problem in which viscous friction of some joints bends."""
+        return Problem(*self._given, whole=self.whole, alone=self._alone, only=self._only,
+                       thinned=thinned)
+
+    def found_thinned(self, fits) -> list[EffectSpec]:
+        """Return the ShearThinning of JointFits, of joints whose viscous friction bends."""
+        return list(filter(None, map(_as_fitted, self._thinned, fits)))
+
     def with_friction(self, robot, fits) -> RobotParams:
         """Return a robot with the friction of JointFits, and what grows with the load."""
         per_load = self.arm_fit.loaded if self.arm_fit else np.zeros(robot.n_joints)
         return assumed_robot.with_load_friction(
-            replace(robot, friction=robot.friction.with_joints(
-                self.fitted, _friction_params(fits))),
+            with_effects(replace(robot, friction=robot.friction.with_joints(
+                self.fitted, _friction_params(fits))), *self.found_thinned(fits)),
             per_load + (self.differences.loaded if self.differences else 0.0), self._steps)
 
     def found_beside(self, joints) -> dict:
@@ -202,8 +249,9 @@ class Problem:
 
     def search(self, options, say) -> list:
         """Return the JointFit per joint that predicts motion best."""
-        extras = [np.zeros(len(self.arm_fit.joints[j].units) if self.arm_fit else 0)
-                  for j in self.fitted]
+        extras = [np.append(np.ones(int(one is not None)),
+                            np.zeros(len(self.arm_fit.joints[j].units) if self.arm_fit else 0))
+                  for one, j in zip(self._thinned, self.fitted, strict=True)]
         return fit_all(self.bundle, self.starts, extras, self.step, blocks=options.blocks, say=say)
 
     def choose(self, fits, say) -> list:
@@ -231,10 +279,10 @@ class Problem:
                 self.differences, robot.joints, self._sources), strict=True)]
         others = [row for j, rows in enumerate(further) if j not in self.fitted for row in rows]
         results = _per_joint(self._result, objectives, fits, spreads,
-                             [further[j] for j in self.fitted])
+                             [further[j] for j in self.fitted], self._thinned)
         return tuple(results), OtherJoints(tuple(others)), robot
 
-    def _result(self, objective, fit, spread, further):
+    def _result(self, objective, fit, spread, further, thinned):
         """Return the JointResult of one joint; ``further`` are Estimates beyond friction."""
         joint, bundle, theta = objective.joint, self.bundle, fit.theta
         top = np.abs(self.maps[joint].velocity).max()
@@ -246,10 +294,15 @@ class Problem:
             travel(bundle.segments, joint), fit.rivals, top)
         curve = uncertainty.curve_of(fit, spread, uncertainty.shown_displacements(
             estimates, theta[STATICS].mean(), self.step[joint], _CURVE_POINTS))
+        steady = steady_friction(velocity[:, None], _friction_params([fit]))[:, 0]
+        if found := _as_fitted(thinned, fit):
+            steady += thinned_friction(found, velocity)
+            error = spread.covariance[-fit.coordinates.n_extra, -fit.coordinates.n_extra] ** 0.5
+            further = (thinning_estimate(found, error * thinned.values[0]), *further)
         return JointResult(
             joint=self.robot.joints[joint], side=self.sides[joint], estimates=estimates + further,
             curve=curve, friction_map=self.maps[joint], steady_velocity=velocity,
-            steady_torque=steady_friction(velocity[:, None], _friction_params([fit]))[:, 0],
+            steady_torque=steady,
             loops=prediction_error.loops_of(objective, theta),
             traces=prediction_error.traces_of(objective, theta, held_out(bundle.period)),
             candidates=tuple(one._replace(chosen=one.n_blocks == fit.coordinates.n_blocks)
@@ -266,10 +319,19 @@ class Problem:
         if any(one.tested[:, joint].any() for one in self._apart):
             judged = objective.of(bundle=bundle._replace(segments=tuple(self._apart)))
             theta, chosen = fit.theta, everything
-        simple = simple_theta(objective, fit, self.step[joint], bool(self._apart))
+        straight = objective.of(bundle=bundle._replace(
+            extras=tuple(map(self._of_arm, range(len(self.fitted))))))
+        simple = simple_theta(straight, fit, self.step[joint], bool(self._apart))
+        if self._thinned[joint]:
+            simple = np.insert(simple, parameter_rows(MOST_BLOCKS, 0), 0.0)
         return prediction_error.held_out_errors(
             judged, theta, simple, chosen, self.step[joint], repeatability(
                 bundle.segments, self.robot.arm, joint, bundle.period, bundle.half[joint]))
+
+
+def _as_fitted(thinned, fit):
+    """Return the ShearThinning of a JointFit, begun with as ``thinned``, None without one."""
+    return thinned and fitted_thinning(thinned, fit.theta[parameter_rows(MOST_BLOCKS, 0)])
 
 
 def _per_joint(task, *given):
