@@ -12,7 +12,7 @@ from gms_flex_control.discrepancy.residual_views import binned, follows, over_al
 from gms_flex_control.discrepancy.result import Gap, Value
 from gms_flex_control.identification.outcome import estimated, FrictionMap, Interval, OtherJoints
 from gms_flex_control.identification.output import report_json
-from gms_flex_control.reports.answers import identification_text
+from gms_flex_control.reports.answers import identification_answer, identification_text
 from gms_flex_control.reports.discrepancy_values import over_values, plain
 from gms_flex_control.reports.figure_style import save_figure
 from gms_flex_control.reports.pictures import (
@@ -151,6 +151,16 @@ def sampled(seed=0, count=20_000):
     rng = np.random.default_rng(seed)
     x = rng.normal(size=count)
     return x, np.sign(x) + rng.normal(size=count)
+
+
+def test_an_answer_begins_with_distrust_where_a_model_predicts_worse_than_none(tmp_path):
+    made = identification(1)
+    first, = made.joints
+    for relative, distrusted in ((0.4, False), (1.3, True)):
+        result = replace(first, held_out=first.held_out._replace(relative=relative))
+        words = identification_answer(replace(made, joints=(result,)), tmp_path).sentence
+        assert words.startswith('More than half of the drive torque') == distrusted
+        assert 'predicts the torque of' in words
 
 
 def test_binned_means_lie_on_the_curve_within_their_bands():

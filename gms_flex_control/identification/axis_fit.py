@@ -272,7 +272,8 @@ def _moving(samples, joint, source):
     if np.ptp(torque) <= _CONSTANT * np.abs(torque).max():
         raise IdentificationError(f'{source}: the torque of {joint} never changes '
                                   f'({torque[0]:.3g} N m) while it moves, which shows no '
-                                  'inertia; record the torque that its drive gives')
+                                  'inertia; record the torque that its drive gives, or leave '
+                                  f'{joint} out (--joints)')
     return moving
 
 

@@ -243,10 +243,8 @@ def _prediction(errors):
     if own >= simple:
         lines.append(('For this motion the model is no better than Coulomb + viscous friction '
                       'alone.', True))
-    if own > _UNEXPLAINED:
-        lines.append(('More than half of the drive torque stays unexplained: trust none of these '
-                      'numbers until the cause is found (scale or sign of the torque, inertia, '
-                      'gravity).', True))
+    if words := distrust(errors):
+        lines.append((words, True))
     lines.append((_floor(errors), False))
     if np.isfinite(errors.free_run_rms):
         lines.append((
@@ -254,6 +252,13 @@ def _prediction(errors):
             f'ends up {number(1e3 * errors.free_run_rms, 3)} mrad (rms) off; with Coulomb + '
             f'viscous alone {number(1e3 * errors.free_run_coulomb_viscous, 3)} mrad.', False))
     return lines
+
+
+def distrust(errors: HeldOutErrors) -> str:
+    """Return a sentence where so little of the torque is explained that numbers mean nothing."""
+    return ('More than half of the drive torque stays unexplained: trust none of these numbers '
+            'until the cause is found (scale or sign of the torque, inertia, gravity).'
+            ) if errors.relative > _UNEXPLAINED else ''
 
 
 def _floor(errors):

@@ -142,10 +142,11 @@ def _identified(identification, worst):
     simple = ('no better than Coulomb + viscous friction alone' if errors.relative
               >= errors.coulomb_viscous else 'Coulomb + viscous friction alone to '
               + outcome.percent(errors.coulomb_viscous))
-    return ('On motion left out of the fit, the identified friction predicts the torque of '
+    text = ('On motion left out of the fit, the identified friction predicts the torque of '
             f'{worst.joint}, the worst joint, to {outcome.percent(errors.relative)}, {simple}; '
             f'{known}. The noise floor is what the readings alone, or the repeated motion, would '
             'leave.')
+    return f'{outcome.distrust(errors)} {text}'.lstrip()
 
 
 def discrepancy_answer(result, folder, holdout=()) -> Answer:
