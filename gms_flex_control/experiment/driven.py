@@ -15,6 +15,7 @@ import time
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording, Topics
 from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.simulation.loop import count_samples, NANOSECONDS
 import numpy as np
 
 _STOP_BOUND = 10.0    # a process has so long to end after SIGINT [s]
@@ -180,8 +181,7 @@ def drive_recorded(plan: DrivenPlan, bag: Path, *, log: Path) -> Recording:
     with Processes(private_environment(), log / bag.name) as processes:
         processes.start('recorder', [*executable('gms_flex'), 'record', '--topics', *TOPICS,
                                      '--out', str(bag)])
-        # the model last: what the controller believes
-        # nobody answers the first state before the recorder hears the answer
+        # the model last: what the controller believes; both answer once the recorder hears them
         processes.start_node('controller', [*plan.files, plan.model],
                              {'compensation': plan.compensation, 'recorders': 1})
         processes.start_node('trajectory', plan.files,
@@ -199,8 +199,7 @@ def drive_recorded(plan: DrivenPlan, bag: Path, *, log: Path) -> Recording:
 
 def _require_whole(recording, plan):
     """Return the Recording; raise ProcessError if a sample of the plan lacks anything."""
-    period = round(1e9 / plan.rate)
-    planned = max(1, round(plan.duration * 1e9 / period))
+    planned = count_samples(plan.duration, round(NANOSECONDS / plan.rate))
     known = [np.isfinite(values).any(axis=tuple(range(1, values.ndim))) for values in (
         recording.command, recording.reference, recording.friction_hat)]
     lost = planned - int(np.all(known, axis=0).sum())

@@ -17,10 +17,10 @@ from gms_flex_control.data.signal_analysis import low_pass, rms
 from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.catalogue.friction_shape import ShearThinning
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.coordinates import DROP, LAG
+from gms_flex_control.identification.coordinates import DROP, LAG, MOST_BLOCKS
 from gms_flex_control.identification.criterion import WORTH
 from gms_flex_control.identification.objective import (
-    block_length,
+    blocks_of,
     friction_torque,
     Objective,
     torque_memory,
@@ -32,10 +32,12 @@ from gms_flex_control.identification.outcome import (
     FrictionMap,
     WIDE,
 )
+from gms_flex_control.identification.prediction_error import simple_friction
 from gms_flex_control.identification.robust_regression import first_coefficient, held_out_error
 from gms_flex_control.identification.segments import filled, Segment
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.simulation.predictor import parameter_rows
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
@@ -267,9 +269,9 @@ def thinning_of(objective: Objective, joint: str, theta: np.ndarray,
     ``step`` is the encoder step or noise [rad].
     """
     rates = np.concatenate([one.rate[:, objective.joint] for one in objective.bundle.segments])
-    usual, fastest = rms(rates), float(np.abs(rates).max())
-    tries = [EffectSpec(name=ShearThinning.name, joint=joint, values=(1.0, share * usual, fastest))
-             for share in _BENDS]
+    usual, fastest = rms(rates), float(objective.fastest)
+    tries = [EffectSpec(name=ShearThinning.name, joint=joint,
+                        values=(1.0, float(share * usual), fastest)) for share in _BENDS]
     columns, left, block = (np.concatenate(part) for part in zip(*(
         _left(objective, segment, theta, step, tries) for segment in objective.bundle.segments),
         strict=True))
@@ -293,15 +295,12 @@ def _left(objective, segment, theta, step, tries):
     """
     joint, bundle = objective.joint, objective.bundle
     keep, rate = bundle.judged(segment, joint, step), segment.rate[:, joint]
-    ways = np.stack([rate > 0.0, -1.0 * (rate < 0.0)], axis=1)
-    friction = np.column_stack([
-        *(thinned_friction(one, rate) for one in tries), ways, np.abs(rate)[:, None] * ways])
-    columns = np.column_stack([segment.factor[:, [joint]] * friction,
-                               segment.acceleration[:, joint], objective.extra(segment)])
+    columns = np.column_stack([
+        *(segment.factor[:, joint] * thinned_friction(one, rate) for one in tries),
+        simple_friction(segment, joint), segment.acceleration[:, joint], objective.extra(segment)])
     left = objective.measured(segment) - objective.resistance(segment, theta)
-    block = segment.first_block + np.arange(len(rate)) // block_length(bundle.period)
     return (low_pass(columns, segment.window)[keep], low_pass(left, segment.window)[keep],
-            block[keep])
+            blocks_of(segment, bundle.period)[keep])
 
 
 def _times(thinning, factor):
@@ -309,8 +308,9 @@ def _times(thinning, factor):
     return replace(thinning, values=(float(factor * torque), *others))
 
 
-def fitted_thinning(thinning: EffectSpec, share: float) -> EffectSpec | None:
-    """Return the effect as fitted, so many times what was begun with, None where there is none."""
+def fitted_thinning(thinning: EffectSpec | None, theta: np.ndarray) -> EffectSpec | None:
+    """Return the ShearThinning of fitted parameters that began with one, None without any."""
+    share = theta[parameter_rows(MOST_BLOCKS, 0)] if thinning else 0.0
     return _times(thinning, share) if share > 0.0 else None
 
 

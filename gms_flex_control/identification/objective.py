@@ -56,11 +56,15 @@ def block_length(period: float) -> int:
     return max(round(BLOCK_TIME / period), 1)
 
 
+def blocks_of(segment: Segment, period: float) -> np.ndarray:
+    """Return the number of each sample's block of time, int (T,)."""
+    return segment.first_block + np.arange(len(segment.angle)) // block_length(period)
+
+
 def held_out(period: float, turn=0) -> Callable:
     """Return a function Segment -> bool (T,) of the samples not to be fitted in a turn."""
-    length = block_length(period)
-    return lambda segment: (segment.first_block + np.arange(len(segment.angle)) // length
-                            ) % FRICTION_FOLDS == FRICTION_FOLDS - 1 - turn
+    return lambda segment: (blocks_of(segment, period) % FRICTION_FOLDS
+                            == FRICTION_FOLDS - 1 - turn)
 
 
 def train(period: float, turn=0) -> Callable:

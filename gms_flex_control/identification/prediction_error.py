@@ -14,7 +14,7 @@ from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.objective import Objective, torque_memory
 from gms_flex_control.identification.outcome import HeldOutErrors, PreslidingLoop, Trace
-from gms_flex_control.identification.segments import standing
+from gms_flex_control.identification.segments import Segment, standing
 import numpy as np
 from scipy.optimize import lsq_linear
 
@@ -57,10 +57,8 @@ def coulomb_viscous(objective: Objective, step: float, chosen: Callable) -> np.n
     for segment in bundle.segments:
         rate = segment.rate[:, joint]
         keep = chosen(segment) & (np.abs(rate) > standing(step)) & segment.tested[:, joint]
-        forward, backward = rate > 0.0, rate < 0.0
-        simple = np.stack([forward, -1.0 * backward, forward * rate, backward * rate], axis=1)
-        simple *= segment.factor[:, [joint]]
-        columns = np.concatenate([simple, -objective.extra(segment)], axis=1)
+        columns = np.concatenate([simple_friction(segment, joint), -objective.extra(segment)],
+                                 axis=1)
         rows.append(low_pass(columns, segment.window)[keep])
         targets.append(low_pass(objective.measured(segment), segment.window)[keep])
     columns, target = np.concatenate(rows), np.concatenate(targets)
@@ -68,6 +66,14 @@ def coulomb_viscous(objective: Objective, step: float, chosen: Callable) -> np.n
         return np.linalg.lstsq(columns, target, rcond=None)[0]
     return _beside_further(columns, target, torque_memory(
         bundle.period, [segment.window for segment in bundle.segments]))
+
+
+def simple_friction(segment: Segment, joint: int) -> np.ndarray:
+    """Return Coulomb and viscous friction of each direction per unit of its number (T, 4)."""
+    rate = segment.rate[:, joint]
+    forward, backward = rate > 0.0, rate < 0.0
+    return segment.factor[:, [joint]] * np.stack(
+        [forward, -1.0 * backward, forward * rate, backward * rate], axis=1)
 
 
 def _beside_further(columns, target, memory):

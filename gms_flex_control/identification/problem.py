@@ -107,12 +107,14 @@ class Problem:
                                 self.arm_fit.joints[j].friction if whole else None)
                        for k, j in enumerate(self.fitted)]
         coulomb = np.array([start.forward.coulomb for start in self.starts])
-        self._thinned = [next((one for one in thinned if one.joint == robot.joints[j]), None)
-                         for j in self.fitted]
+        by_joint = {one.joint: one for one in thinned}
+        self._thinned = [by_joint.get(robot.joints[j]) for j in self.fitted]
+        extras = self.arm_fit.extras() if whole else (None,) * robot.n_joints
+        self._of_arm = tuple(extras[j] for j in self.fitted)
         self.bundle = Bundle(
             tuple(segments), arm, period, half,
             observer_bandwidth(arm, coulomb, half, self.step / 3.0, period),
-            tuple(map(self._further_torques, range(len(self.fitted)))))
+            tuple(map(_with_thinning, range(len(self.fitted)), self._of_arm, self._thinned)))
         self.choices = ()
 
     def _settle_arm(self, recordings, robot, beside):
@@ -181,19 +183,6 @@ class Problem:
                     'as described, a placeholder where nothing was stated', stacklevel=4)
         return fitted
 
-    def _of_arm(self, k):
-        """Return a function Segment -> torques (T, R) of the k-th joint fitted, or None."""
-        return self.arm_fit.extras()[self.fitted[k]] if self.whole else None
-
-    def _further_torques(self, k):
-        """Return likewise, beside the friction of thinning."""
-        own, thinned = self._of_arm(k), self._thinned[k]
-        if thinned is None:
-            return own
-        return lambda segment: np.column_stack([
-            -segment.factor[:, k] * thinned_friction(thinned, segment.rate[:, k]),
-            *([own(segment)] if own else [])])
-
     def thinned(self, fits) -> list[EffectSpec]:
         """Return the ShearThinning of each joint in whose torque JointFits leave one."""
         found = _per_joint(thinning_of, objectives_of(self.bundle, fits),
@@ -207,7 +196,8 @@ class Problem:
 
     def found_thinned(self, fits) -> list[EffectSpec]:
         """Return the ShearThinning of JointFits, of joints whose viscous friction bends."""
-        return list(filter(None, map(_as_fitted, self._thinned, fits)))
+        return list(filter(None, (fitted_thinning(one, fit.theta) for one, fit in zip(
+            self._thinned, fits, strict=True))))
 
     def with_friction(self, robot, fits) -> RobotParams:
         """Return a robot with the friction of JointFits, and what grows with the load."""
@@ -295,7 +285,7 @@ class Problem:
         curve = uncertainty.curve_of(fit, spread, uncertainty.shown_displacements(
             estimates, theta[STATICS].mean(), self.step[joint], _CURVE_POINTS))
         steady = steady_friction(velocity[:, None], _friction_params([fit]))[:, 0]
-        if found := _as_fitted(thinned, fit):
+        if found := fitted_thinning(thinned, theta):
             steady += thinned_friction(found, velocity)
             error = spread.covariance[-fit.coordinates.n_extra, -fit.coordinates.n_extra] ** 0.5
             further = (thinning_estimate(found, error * thinned.values[0]), *further)
@@ -319,8 +309,7 @@ class Problem:
         if any(one.tested[:, joint].any() for one in self._apart):
             judged = objective.of(bundle=bundle._replace(segments=tuple(self._apart)))
             theta, chosen = fit.theta, everything
-        straight = objective.of(bundle=bundle._replace(
-            extras=tuple(map(self._of_arm, range(len(self.fitted))))))
+        straight = objective.of(bundle=bundle._replace(extras=self._of_arm))
         simple = simple_theta(straight, fit, self.step[joint], bool(self._apart))
         if self._thinned[joint]:
             simple = np.insert(simple, parameter_rows(MOST_BLOCKS, 0), 0.0)
@@ -329,9 +318,13 @@ class Problem:
                 bundle.segments, self.robot.arm, joint, bundle.period, bundle.half[joint]))
 
 
-def _as_fitted(thinned, fit):
-    """Return the ShearThinning of a JointFit, begun with as ``thinned``, None without one."""
-    return thinned and fitted_thinning(thinned, fit.theta[parameter_rows(MOST_BLOCKS, 0)])
+def _with_thinning(k, of_arm, thinned):
+    """Return a function Segment -> further torques (T, R) of the k-th joint, or None."""
+    if not thinned:
+        return of_arm
+    return lambda segment: np.column_stack([
+        -segment.factor[:, k] * thinned_friction(thinned, segment.rate[:, k]),
+        *([of_arm(segment)] if of_arm else [])])
 
 
 def _per_joint(task, *given):

@@ -5,12 +5,11 @@ from collections.abc import Sequence
 
 from gms_flex_control.data import signal_analysis as analysis
 from gms_flex_control.data.recording import MOTOR_SUFFIX, Recording
+from gms_flex_control.data.signal_analysis import BESIDE
 from gms_flex_control.identification import check_basis as limits
 from gms_flex_control.identification.check_basis import Fault, sides
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
-
-_BESIDE = analysis.BESIDE  # samples that give the velocity beside a run of equal ones
 
 
 def length(*recordings: Recording) -> list[Fault]:
@@ -247,7 +246,7 @@ def broken(signals: Recording) -> list[Fault]:
             grain = max(unit, 3 * _noise(q))
             step = max(3 * grain, 0.05 * top)
             held = _while_moving(q, np.diff(q) == 0, step)
-            moving = np.sum(np.abs(q[_BESIDE:] - q[:-_BESIDE]) > _BESIDE * step)
+            moving = np.sum(np.abs(q[BESIDE:] - q[:-BESIDE]) > BESIDE * step)
             found += _frozen(signals, joint, f'the {side} angle of {joint} stays', held, moving)
             found += _jumps(signals, joint, side, q, unit)
     return found
@@ -267,9 +266,9 @@ def _while_moving(q, equal, step):
     Of those on both sides of which the angle moves one way by ``step`` a sample.
     """
     found = analysis.runs(equal)
-    first, end = found[(found[:, 0] >= _BESIDE) & (found[:, 1] + _BESIDE < len(q))].T
-    before = (q[first] - q[first - _BESIDE]) / _BESIDE
-    after = (q[end + _BESIDE] - q[end]) / _BESIDE
+    first, end = found[(found[:, 0] >= BESIDE) & (found[:, 1] + BESIDE < len(q))].T
+    before = (q[first] - q[first - BESIDE]) / BESIDE
+    after = (q[end + BESIDE] - q[end]) / BESIDE
     last, following = q[first] - q[first - 1], q[end + 1] - q[end]
     same_way = (before * after > 0) & (before * last > 0) & (before * following > 0)
     moving = (np.minimum(np.abs(before), np.abs(after)) > step) & same_way

@@ -12,7 +12,7 @@ from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.pacing import Lockstep, Paced
 from gms_flex_control.nodes.topics import Inbox, Outlet
 from gms_flex_control.schema.build import limits_from_values, robot_from_values
-from gms_flex_control.simulation.loop import SteppedPlant
+from gms_flex_control.simulation.loop import count_samples, SteppedPlant
 import numpy as np
 from rclpy.logging import LoggingSeverity
 from sensor_msgs.msg import JointState
@@ -25,8 +25,8 @@ class _Arm:
     def __init__(self, node, values, joints):
         robot = robot_from_values(values)
         self.period, self.stamp, self.ticks = round(NANOSECONDS / values['rate']), 0, 0  # [ns]
-        duration = values['duration']  # as many samples as a run in one process has
-        self._samples = max(1, round(duration * NANOSECONDS / self.period)) if duration else None
+        duration = values['duration']
+        self._samples = count_samples(duration, self.period) if duration else None
         make_plant = partial(
             SteppedPlant, robot, period=self.period / NANOSECONDS, substeps=values['substeps'],
             seed=values['seed'],

@@ -88,9 +88,10 @@ class Outlet:
             if self._serialized is None:
                 self._serialized = Serialized(message)
             self._publish(self._serialized.data())
-            self._sent += 1
-            if self._lockstep and self._sent % _UNSEEN == 0:
-                self.wait_for_all_acked()
+            if self._lockstep:
+                self._sent += 1
+                if self._sent % _UNSEEN == 0:
+                    self.wait_for_all_acked()
 
     def count_hearers(self) -> int:
         """Return how many take the message, here and elsewhere."""

@@ -131,6 +131,11 @@ class Loop:
                    friction=torques[:, 2], friction_hat=torques[:, 3])
 
 
+def count_samples(duration: float, period_ns: int) -> int:
+    """Return how many samples a run of ``duration`` [s] has, one at least."""
+    return max(1, round(duration * NANOSECONDS / period_ns))
+
+
 def run(robot, model, gains, trajectory, *, duration, period_ns=2_000_000, **options) -> Run:
     """
     Simulate the closed loop along a Trajectory from its beginning for ``duration`` [s].
