@@ -187,7 +187,7 @@ def test_what_the_noise_floor_hides_matters_where_something_is_clearly_better(
     """Torque of 1 becomes ``after``, 5 % less or not, or free runs are, or the floor is lower."""
     held_out = Known(SimpleNamespace(coulomb=np.ones(1)))
     held_out.floor = lambda state: np.array([floor])
-    monkeypatch.setattr(findings.worth, 'plausible_limit', lambda likelihood, model: None)
+    monkeypatch.setattr(findings.fitting, 'plausible_limit', lambda likelihood, model: None)
     rest = SimpleNamespace(_replace=lambda **changed: state_of_errors([1.0], [1.0]))
     assert findings._lessened(held_out._likelihood, Found(state_of_errors([after], [free]), ()),
                               SimpleNamespace(less=None, rest=rest), held_out)[2] == matters

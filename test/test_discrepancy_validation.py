@@ -291,7 +291,7 @@ def test_an_effect_is_dropped_only_where_all_that_falls_with_it_is_no_loss(end, 
               for k, word in enumerate(('first', 'second'))]
     monkeypatch.setattr(findings.worth, 'dropped', lambda likelihood, found, index: index)
     monkeypatch.setattr(findings.worth, 'pruned', lambda likelihood, index: (found('end'), []))
-    monkeypatch.setattr(findings.worth, 'plausible_limit', lambda likelihood, model: None)
+    monkeypatch.setattr(findings.fitting, 'plausible_limit', lambda likelihood, model: None)
     monkeypatch.setattr(findings, 'limited', lambda likelihood, state, limit: state)
     left, _ = findings.predictive(None, found('both'), worths, SimpleNamespace(
         energy=lambda state: energies[state.name]))

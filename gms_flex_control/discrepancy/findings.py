@@ -86,7 +86,7 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
         ends = (worth.pruned(likelihood, worth.dropped(likelihood, found, index))
                 for index in sorted(fewer, key=fewer.get)
                 if thresholds.CLEARLY * fewer[index] <= energy)
-        limit = worth.plausible_limit(likelihood, found.best.model)
+        limit = fitting.plausible_limit(likelihood, found.best.model)
         better = next((end for end in ends if thresholds.CLEARLY * held_out.energy(
             limited(likelihood, end[0].best, limit)) <= energy), None)
         if better is None:
@@ -114,7 +114,7 @@ def _lessened(likelihood, found, one, held_out):
     that were fitted do.
     """
     state = found.best
-    less = one.rest._replace(model=one.less, plausible=worth.plausible_limit(
+    less = one.rest._replace(model=one.less, plausible=fitting.plausible_limit(
         likelihood, state.model))
     (before, _, free, _), (after, _, own_free, _) = held_out.errors(less), held_out.errors(state)
     better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb

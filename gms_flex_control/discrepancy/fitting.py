@@ -130,6 +130,11 @@ def is_at_limit(spec, robot) -> bool:
             kind.parameters, spec.values, *bounds_of(spec, robot), strict=True))
 
 
+def plausible_limit(likelihood, model) -> np.ndarray:
+    """Return how far (P,) known parameters that stand for an effect may go, or are already."""
+    return np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
+
+
 def is_within(likelihood, model, plausible) -> bool:
     """Return whether nuisance parameters are within so many deviations of their priors."""
     return bool(np.all(np.abs(model.x) <= plausible * likelihood.sd))

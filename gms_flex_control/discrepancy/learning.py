@@ -21,7 +21,6 @@ from gms_flex_control.discrepancy.null_simulation import is_followed
 from gms_flex_control.discrepancy.result import Discrepancy, LearnedTerm
 from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, PLAUSIBLE
 from gms_flex_control.discrepancy.validation import gain_of
-from gms_flex_control.discrepancy.worth import plausible_limit
 from gms_flex_control.effects import learned as shapes
 from gms_flex_control.params.robot import EffectSpec, with_effects
 import numpy as np
@@ -175,7 +174,7 @@ class _Learning:
         """Return the Gain of a State with a term on blocks left out, over that without it."""
         likelihood, change = self.likelihood, state.model.whitened - one.model.whitened
         return gain_of(likelihood, *((each.model, each.jacobian) for each in (one, state)), change,
-                       np.minimum(plausible_limit(likelihood, one.model), self._plausible))
+                       np.minimum(fitting.plausible_limit(likelihood, one.model), self._plausible))
 
     def _closer(self, state, gap):
         """Return the Gap of a model if it is clearly less in torque and no more in free runs."""

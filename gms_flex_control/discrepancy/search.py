@@ -225,11 +225,11 @@ class _Search:
         robot = fitting.without(model.robot, *dropped)
         others = fitting.jacobian_without(likelihood, model, self.best.jacobian, *dropped)
         anything = fitting.fit(likelihood, robot, model.x, others)
-        states = [self._tried(anything, others)]
-        less = anything if fitting.is_within(likelihood, anything, PLAUSIBLE) else fitting.fit(
-            likelihood, robot, model.x, others, plausible=PLAUSIBLE)
+        states, limit = [self._tried(anything, others)], fitting.plausible_limit(likelihood, model)
+        less = anything if fitting.is_within(likelihood, anything, limit) else fitting.fit(
+            likelihood, robot, model.x, others, plausible=limit)
         loss, keys = less.cost - model.cost, {model.robot.effects[i].key for i in dropped}
-        for one in self.dictionary.ranked(less, others, PLAUSIBLE)[:_SHORTLIST]:
+        for one in self.dictionary.ranked(less, others, limit)[:_SHORTLIST]:
             other = one.decrease >= _NEARLY * loss and one.key not in keys and self._with(
                 one.spec, less, others)
             if other:

@@ -23,7 +23,7 @@ from gms_flex_control.discrepancy.findings import (
     predictive,
     subsets,
 )
-from gms_flex_control.discrepancy.fitting import is_within, with_white_noise
+from gms_flex_control.discrepancy.fitting import is_within, plausible_limit, with_white_noise
 from gms_flex_control.discrepancy.friction_anew import with_friction_anew
 from gms_flex_control.discrepancy.gap import HeldOut, torque_rms
 from gms_flex_control.discrepancy.likelihood import Likelihood, Residuals
@@ -280,7 +280,7 @@ class _Choice:
 
     def __init__(self, likelihood, found, held_out, named):
         self._likelihood, self._found, self._held_out = likelihood, found, held_out
-        self._named, self._limit = named, worth.plausible_limit(likelihood, found.best.model)
+        self._named, self._limit = named, plausible_limit(likelihood, found.best.model)
         self._given = as_given(likelihood, found.before, found.nuisances)
 
     def written(self, larger, further) -> tuple:

@@ -13,13 +13,7 @@ from gms_flex_control.discrepancy.dictionary import may_join
 from gms_flex_control.discrepancy.evidence import finite, State, state_of
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.search import Found
-from gms_flex_control.discrepancy.thresholds import (
-    CREDIBLE,
-    EVIDENCE,
-    FEW_BLOCKS,
-    MOST_LEFT,
-    PLAUSIBLE,
-)
+from gms_flex_control.discrepancy.thresholds import CREDIBLE, EVIDENCE, FEW_BLOCKS, MOST_LEFT
 from gms_flex_control.discrepancy.validation import (
     acting,
     Gain,
@@ -54,11 +48,6 @@ class Worth(NamedTuple):
         return self.evidence > EVIDENCE and self.gain.is_real(caution)
 
 
-def plausible_limit(likelihood, model) -> np.ndarray:
-    """Return how far (P,) known parameters that stand for an effect may go, or are already."""
-    return np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
-
-
 def _worth_of(likelihood, found, i, whole):
     """Return what the i-th effect is worth in a model that predicts blocks so well, (B,)."""
     model, jacobian = found.best.model, found.best.jacobian
@@ -67,8 +56,8 @@ def _worth_of(likelihood, found, i, whole):
     others = fitting.jacobian_without(likelihood, model, jacobian, i)
     change = less.whitened - model.whitened
     own, loss = _beside(likelihood, model, less, others, change)
-    anything, limit = fitting.fit(likelihood, less.robot, model.x, others), plausible_limit(
-        likelihood, model)
+    anything, limit = fitting.fit(
+        likelihood, less.robot, model.x, others), fitting.plausible_limit(likelihood, model)
     plausible = anything if fitting.is_within(likelihood, anything, limit) else fitting.fit(
         likelihood, less.robot, model.x, others, plausible=limit)
     gain = gain_where(likelihood, whole - predicted(likelihood, plausible, others, limit), change)
@@ -140,7 +129,7 @@ def pruned(likelihood, found) -> tuple:
     while True:
         model, jacobian = found.best.model, found.best.jacobian
         added = range(likelihood.known, len(model.robot.effects))
-        whole = predicted(likelihood, model, jacobian, plausible_limit(
+        whole = predicted(likelihood, model, jacobian, fitting.plausible_limit(
             likelihood, model)) if added else None
         worths = [_worth_of(likelihood, found, i, whole) for i in added]
         weak = [one for one in worths if not one.is_real(likelihood.caution)]
