@@ -14,6 +14,7 @@ import gms_flex_control as gms
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.tuning import study
+from identified_axis import pendulum
 from matplotlib.figure import Figure
 import numpy as np
 import pytest
@@ -173,3 +174,18 @@ def test_importing_the_package_imports_nothing_else():
     ran = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                          check=True, timeout=60)
     assert ran.stdout == '[]\n'
+
+
+def test_a_recording_alone_is_identified_and_what_stands_still_is_left_out():
+    """A pendulum in closed form beside a joint that stands still, and no robot file."""
+    swing = pendulum(seconds=15.0)
+    recording = gms.Recording(joints=('swing', 'held'), time=swing.time, source='two axes', **{
+        name: np.hstack([getattr(swing, name), np.zeros((len(swing.time), 1))])
+        for name in ('q_link', 'tau_motor')})
+    with pytest.warns(UserWarning, match='held stand still: left out'):
+        found = gms.identify([recording])
+    arm, friction = found.robot.arm, found.robot.friction
+    assert found.robot.joints == ('swing',) and not found.described
+    assert arm.inertia + arm.mass * arm.com ** 2 == pytest.approx(0.02, rel=0.03)
+    assert friction.forward.coulomb == pytest.approx(0.06, rel=0.1)
+    assert friction.backward.coulomb == pytest.approx(0.06, rel=0.1)

@@ -241,12 +241,12 @@ def test_friction_that_is_to_be_identified_need_not_be_stated(tmp_path, robot):
     path = written(tmp_path, f'{arm}    friction:\n{joint2}{of_joint2}')
     with pytest.raises(ConfigError, match=r'friction\.joint1\.forward\.static is missing'):
         files.load_robot(path)
-    found = files.load_robot_to_identify(path)
+    found = files.load_robot(path, to_identify=True)
     assert found.arm.mass.tolist() == robot.arm.mass.tolist()
     assert found.friction.forward.static[1] == robot.friction.forward.static[1]
     path.write_text(changed('attraction: 1.5', '#'), encoding='utf-8')
     with pytest.raises(ConfigError, match=r'friction\.joint1\.attraction is missing'):
-        files.load_robot_to_identify(path)
+        files.load_robot(path, to_identify=True)
 
 
 @pytest.mark.parametrize('place', ['nowhere.yaml', '.'])

@@ -17,7 +17,6 @@ from gms_flex_control.effects import base as sig
 from gms_flex_control.effects.table import with_changes
 from gms_flex_control.errors import ConfigError, ParameterError, TrajectoryError
 from gms_flex_control.file_io import robot_file
-from gms_flex_control.schema.files import load_robot_to_identify
 from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.simulation import plant
@@ -259,7 +258,7 @@ def test_a_fixed_link_with_a_shape_alone_weighs_nothing(tmp_path):
     (tmp_path / 'robot.yaml').write_text(
         '/**: {ros__parameters: {joints: [j1, j2], motors: ["", ""], '
         'arm: {kind: urdf, urdf: arm.urdf, gravity_vector: [0.0, 0.0, -9.81]}}}')
-    arm = load_robot_to_identify(tmp_path / 'robot.yaml').arm
+    arm = load_robot(tmp_path / 'robot.yaml', to_identify=True).arm
     assert arm.rigid.all() and not arm.motor_inertia.any()
 
 

@@ -29,7 +29,7 @@ from gms_flex_control.identification import output
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
 from gms_flex_control.identification.identify import identify, IdentifyOptions
-from gms_flex_control.identification.recording_checks import check, standing
+from gms_flex_control.identification.recording_checks import check, moving
 from gms_flex_control.identification.sampling_checks import doubtful_columns
 from gms_flex_control.params.arm import in_currents, in_units_of
 from gms_flex_control.params.gains import COMPENSATIONS
@@ -41,7 +41,7 @@ from gms_flex_control.reports.answers import (
 )
 from gms_flex_control.reports.discrepancy_page import units_of, write_discrepancy_report
 from gms_flex_control.reports.recordings_page import write_identification_report
-from gms_flex_control.schema.files import load_controller, load_robot, load_robot_to_identify
+from gms_flex_control.schema.files import load_controller, load_robot
 from gms_flex_control.tuning.tracking import link_error, TrackingRun
 import numpy as np
 
@@ -163,7 +163,7 @@ def _written(args, options):
     recordings, apart = ([read_experiment_of(path, robot, not described) for path in paths]
                          for paths in (args.bags, args.holdout))
     if not (described or args.joints):
-        robot = only_joints(robot, _moving([one for one, _ in recordings]))
+        robot = only_joints(robot, moving([one for one, _ in recordings]))
     found = replace(identify(recordings, robot, holdouts=apart, options=options,
                              say=progress(args)), described=described)
     out = Path(args.out)
@@ -173,15 +173,6 @@ def _written(args, options):
         write_json(out / 'report.json', output.report_json(found))
         write_identification_report(found, out, robot=args.robot or ())
     return found
-
-
-def _moving(recordings):
-    """Return the joints that move in any of the recordings; a warning names the others."""
-    joints, still = recordings[0].joints, standing(recordings)
-    if still:
-        warnings.warn(f'{", ".join(one.source for one in recordings)}: {", ".join(still)} stand '
-                      'still: left out', stacklevel=2)
-    return [joint for joint in joints if joint not in still]
 
 
 def _options_of(args):
@@ -199,7 +190,7 @@ def _robot_of(args):
     """Return the robot of the arguments; without a file, rigid axes named as in the bag."""
     if args.robot is None:
         return _axes_of(args.bags, args.joints or link_names(joint_names(args.bags[0])))
-    robot = load_robot_to_identify(args.robot)
+    robot = load_robot(args.robot, to_identify=True)
     return only_joints(robot, args.joints) if args.joints else robot
 
 

@@ -135,11 +135,18 @@ def _fit_stribeck(velocity, torque):
     def residual(x):
         coulomb, viscous = x[0] * level, x[3] * level / top
         drop = x[1] * coulomb  # at most F_s = 2 F_c: else a curve that bends is no Stribeck curve
-        decay = np.exp(-np.minimum((velocity / np.exp(x[2])) ** 2, 50.0))
-        return coulomb + drop * decay + viscous * velocity - torque
+        return coulomb + drop * np.exp(-fading(x)) + viscous * velocity - torque
+
+    def derivatives(x):
+        decay = np.exp(-fading(x))
+        return level * np.stack([1.0 + x[1] * decay, x[0] * decay,
+                                 2.0 * x[0] * x[1] * fading(x) * decay, velocity / top], axis=1)
+
+    def fading(x):
+        return np.minimum((velocity / np.exp(x[2])) ** 2, 50.0)
 
     best = min((least_squares(
-        residual, [0.9, 0.1, np.log(start), 0.1], loss='soft_l1', f_scale=0.3 * noise,
+        residual, [0.9, 0.1, np.log(start), 0.1], derivatives, loss='soft_l1', f_scale=0.3 * noise,
         bounds=([1e-3, 1e-4, np.log(0.3 * slow), 0.0], [3.0, 1.0, np.log(top), 3.0]))
         for start in np.geomspace(slow, top, 4)), key=lambda fit: fit.cost)
     coulomb = best.x[0] * level

@@ -88,14 +88,13 @@ def located(error, paths, places) -> Exception:
     return type(error)(f"{place or ', '.join(dict.fromkeys(map(str, paths)))}: {message}")
 
 
-def load_robot(paths) -> RobotParams:
-    """Read the robot from one or more parameter files, later ones winning."""
-    return _built(paths, build.robot_from_values)
+def load_robot(paths, *, to_identify: bool = False) -> RobotParams:
+    """
+    Read the robot from one or more parameter files, later ones winning.
 
-
-def load_robot_to_identify(paths) -> RobotParams:
-    """Read the robot like `load_robot`; joints may lack friction, which is to be identified."""
-    return _built(paths, build.robot_to_identify)
+    Its friction may be missing where that is ``to_identify``.
+    """
+    return _built(paths, build.robot_to_identify if to_identify else build.robot_from_values)
 
 
 def load_limits(paths, joints) -> Limits | None:
