@@ -289,6 +289,18 @@ def fit(likelihood, robot, x, jacobian, first=None, plausible=np.inf, iterations
     return best
 
 
+def fit_without(likelihood, model, robot, jacobian) -> tuple:
+    """
+    Return two Fitteds of a model's ``robot`` with less, and the `plausible_limit` of the second.
+
+    Known parameters may stand for what is missing in the first, and only so far in the second.
+    """
+    anything, limit = fit(likelihood, robot, model.x, jacobian), plausible_limit(likelihood, model)
+    if is_within(likelihood, anything, limit):
+        return anything, anything, limit
+    return anything, fit(likelihood, robot, model.x, jacobian, plausible=limit), limit
+
+
 def total_cost(likelihood, model) -> float:
     """Return -2 log of likelihood times all priors, but for constants."""
     return model.cost + prior_cost(model, numbers_of(likelihood, model.robot))

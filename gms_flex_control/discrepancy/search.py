@@ -224,10 +224,8 @@ class _Search:
         likelihood, model = self._likelihood, self.best.model
         robot = fitting.without(model.robot, *dropped)
         others = fitting.jacobian_without(likelihood, model, self.best.jacobian, *dropped)
-        anything = fitting.fit(likelihood, robot, model.x, others)
-        states, limit = [self._tried(anything, others)], fitting.plausible_limit(likelihood, model)
-        less = anything if fitting.is_within(likelihood, anything, limit) else fitting.fit(
-            likelihood, robot, model.x, others, plausible=limit)
+        anything, less, limit = fitting.fit_without(likelihood, model, robot, others)
+        states = [self._tried(anything, others)]
         loss, keys = less.cost - model.cost, {model.robot.effects[i].key for i in dropped}
         for one in self.dictionary.ranked(less, others, limit)[:_SHORTLIST]:
             other = one.decrease >= _NEARLY * loss and one.key not in keys and self._with(

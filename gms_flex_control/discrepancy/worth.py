@@ -56,10 +56,7 @@ def _worth_of(likelihood, found, i, whole):
     others = fitting.jacobian_without(likelihood, model, jacobian, i)
     change = less.whitened - model.whitened
     own, loss = _beside(likelihood, model, less, others, change)
-    anything, limit = fitting.fit(
-        likelihood, less.robot, model.x, others), fitting.plausible_limit(likelihood, model)
-    plausible = anything if fitting.is_within(likelihood, anything, limit) else fitting.fit(
-        likelihood, less.robot, model.x, others, plausible=limit)
+    anything, plausible, limit = fitting.fit_without(likelihood, model, less.robot, others)
     gain = gain_where(likelihood, whole - predicted(likelihood, plausible, others, limit), change)
     if fitting.is_at_limit(spec, model.robot) or (find(spec.name).of_feedback and not _predicts(
             likelihood, found, spec, plausible)):
