@@ -10,6 +10,8 @@ BIN := .venv/bin
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
 unexport RMW_IMPLEMENTATION VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# containers often forbid bytecode: each process would compile all of numba's sources, for 2 s
+unexport PYTHONDONTWRITEBYTECODE
 # rclpy refuses to start where it cannot write logs, as in a home that is missing or read-only
 export ROS_LOG_DIR ?= $(CURDIR)/.venv/ros_log
 

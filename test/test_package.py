@@ -166,6 +166,15 @@ def test_a_script_of_the_makefile_finds_what_it_imports(script):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.skipif(shutil.which('make') is None, reason='make is not installed')
+def test_what_the_caller_has_set_does_not_reach_what_make_starts():
+    leaks = ['PYTHONPATH', 'AMENT_PREFIX_PATH', 'VIRTUAL_ENV', 'PYTHONDONTWRITEBYTECODE']
+    done = subprocess.run(['make', '--no-print-directory', '--eval=leaks: ; @env', 'leaks'],
+                          cwd=ROOT, env=os.environ | dict.fromkeys([*leaks, 'KEPT'], 'of_caller'),
+                          check=True, capture_output=True, text=True)
+    assert [line for line in done.stdout.splitlines() if 'of_caller' in line] == ['KEPT=of_caller']
+
+
 ROBOT = load_robot(robot_file())
 N, BLOCKS = ROBOT.friction.stiffness.shape
 ARRAYS = {'/reference': 5 * N, '/effort_controller/commands': N,  # topic: numbers in it
