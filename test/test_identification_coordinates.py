@@ -69,11 +69,21 @@ def test_directions_are_the_derivatives_of_the_parameters(kind):
     coordinates, free = packed(kind)
     free = free + 0.3 * np.random.default_rng(1).standard_normal(len(free))
     _, directions = coordinates.unpack(free)
-    step = 1e-6
+    step = 1e-5
     for p, unit in enumerate(np.eye(len(free))):
         up, down = (coordinates.unpack(free + sign * step * unit)[0] for sign in (1, -1))
         np.testing.assert_allclose(directions[:, p], (up - down) / (2 * step), rtol=1e-7,
                                    atol=1e-9, err_msg=f'free number {p}')
+
+
+def test_friction_does_not_vanish_at_speed():
+    """Eq. (4) where the curve has fallen to 2 %, whatever the numbers are."""
+    coordinates, rng = Coordinates(1), np.random.default_rng(2)
+    for free in 5.0 * rng.standard_normal((200, coordinates.size)):
+        theta = coordinates.parameters(free)
+        for static, coulomb, velocity, viscous in theta[:8].reshape(2, 4):
+            sliding = coulomb + (static - coulomb) * np.exp(-4.0) + 2.0 * velocity * viscous
+            assert coulomb <= static < 5.0 * sliding
 
 
 def test_the_presliding_curve_is_a_sum_of_springs_up_to_their_share():

@@ -66,10 +66,10 @@ class Case:
     def free(self, joint=0):
         """Return the free numbers of a joint, each joint a little unlike the others."""
         extra = [0.01, -0.02][:self.n_extra]
-        free = self.coordinates.pack(**STEADY, yields=YIELDS, weights=np.array([0.5, 0.3, 0.2]),
+        steady = {name: np.multiply(value, np.exp(0.05 * joint))
+                  for name, value in STEADY.items()}
+        return self.coordinates.pack(**steady, yields=YIELDS, weights=np.array([0.5, 0.3, 0.2]),
                                      extra=extra)
-        free[:9] += 0.05 * joint
-        return free
 
     @property
     def extra(self):

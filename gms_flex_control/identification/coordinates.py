@@ -2,9 +2,10 @@
 """
 The numbers a fit moves, and the friction parameters of one joint that they stand for.
 
-All are free of bounds: logarithms of what must be positive, of the drop F_s - F_c instead of
-F_s, of the yield displacement of each block instead of its stiffness, and log-ratios of the
-weights. A block's stiffness is then ``k_i = alpha_i F_s / yield_i``, F_s the mean of both
+All are free of bounds: logarithms of what must be positive, of the yield displacement of each
+block instead of its stiffness, log-ratios of the weights, and in the place of F_s the log-odds of
+the drop F_s - F_c within the largest there may be: friction does not vanish at speed. A block's
+stiffness is then ``k_i = alpha_i F_s / yield_i``, F_s the mean of both
 directions.
 """
 
@@ -24,11 +25,15 @@ from gms_flex_control.simulation.predictor import (
     VISCOUS,
 )
 import numpy as np
+from scipy.special import expit
 
 MOST_BLOCKS = 8   # of one joint; records of all joints have this many, so that one kernel serves
 N_STEADY = 9      # numbers of Stribeck curves and attraction
 LAG = 0.08        # of F_c over C: lag of sliding friction to begin with [s]
-DROP = 0.1        # of F_c: F_s - F_c to begin with
+DROP = 0.1        # of friction where the curve has faded: F_s - F_c to begin with
+LARGEST_DROP = 4.0  # likewise, at most: a curve that falls more stands for what is no friction
+_MOST = 0.95 * LARGEST_DROP  # to begin with: fits hardly move what is at its bound
+_FADED = 2.0      # of v_s: speed at which the curve has
 STATICS = [STATIC, PER_DIRECTION + STATIC]  # places of F_s in the parameters
 
 
@@ -57,8 +62,10 @@ class Coordinates:
         """Return the free numbers (size,) of steady (2,) parameters, yields and weights (N,)."""
         free = np.zeros(self.size)
         drop = np.maximum(np.subtract(static, coulomb), 1e-3 * np.asarray(coulomb))
+        drop /= coulomb + _FADED * np.multiply(velocity, viscous)
         for k in range(2):
-            free[of_direction(k)] = np.log([coulomb[k], drop[k], velocity[k], viscous[k]])
+            free[of_direction(k)] = np.log([coulomb[k], 1.0, velocity[k], viscous[k]])
+            free[of_direction(k)][1] = log_odds(drop[k])
         free[N_STEADY - 1] = np.log(attraction)
         if self._fixed is None:
             free[self.yields] = np.log(yields)
@@ -77,13 +84,12 @@ class Coordinates:
         rows = parameter_rows(MOST_BLOCKS, self.n_extra)
         theta, directions = np.zeros(rows), np.zeros((rows, self.size))
         for k in range(2):
-            coulomb, drop, velocity, viscous = np.exp(free[of_direction(k)])
-            at = PER_DIRECTION * k
+            at, numbers = PER_DIRECTION * k, of_direction(k)
+            coulomb, _, velocity, viscous = np.exp(free[numbers])
             for row, value, column in ((COULOMB, coulomb, 0), (VELOCITY, velocity, 2),
                                        (VISCOUS, viscous, 3)):
                 theta[at + row] = directions[at + row, at + column] = value
-            theta[at + STATIC] = coulomb + drop
-            directions[at + STATIC, at:at + 2] = coulomb, drop
+            theta[at + STATIC], directions[at + STATIC, numbers] = _static(free[numbers])
         theta[ATTRACTION] = directions[ATTRACTION, N_STEADY - 1] = np.exp(free[N_STEADY - 1])
         self._unpack_blocks(free, theta, directions)
         at = BLOCKS + 2 * MOST_BLOCKS
@@ -111,6 +117,22 @@ class Coordinates:
             directions[stiffness, self.yields] -= np.diag(theta[stiffness])
 
 
+def log_odds(drop) -> np.ndarray:
+    """Return free numbers of drops F_s - F_c, stated as parts of friction where curves fade."""
+    drop = np.minimum(drop, _MOST)
+    return np.log(drop / (LARGEST_DROP - drop))
+
+
+def _static(free):
+    """Return F_s of the free numbers (4,) of a Stribeck curve, and its derivatives (4,)."""
+    coulomb, _, velocity, viscous = np.exp(free)
+    share, sliding = expit(free[1]), _FADED * velocity * viscous
+    part = LARGEST_DROP * share
+    drop = part * (coulomb + sliding)
+    return coulomb + drop, (coulomb + part * coulomb, (1.0 - share) * drop, part * sliding,
+                            part * sliding)
+
+
 def of_direction(way: int) -> slice:
     """Return where the free numbers of a Stribeck curve stand, ``way`` 0 forward, 1 backward."""
     return slice(4 * way, 4 * way + 4)
@@ -131,10 +153,9 @@ def with_narrow_curves(free: np.ndarray, velocity: float) -> np.ndarray:
     """
     narrow, levels = free.copy(), []
     for way in range(2):
-        coulomb, drop, _, viscous = free[of_direction(way)]
-        levels.append(np.logaddexp(coulomb, drop))
-        narrow[of_direction(way)] = (levels[-1], levels[-1] + np.log(DROP), np.log(velocity),
-                                     viscous)
+        numbers = of_direction(way)
+        levels.append(np.log(_static(free[numbers])[0]))
+        narrow[numbers] = levels[-1], log_odds(DROP), np.log(velocity), free[numbers][3]
     narrow[N_STEADY - 1] = np.mean(levels) - np.log(LAG)
     return narrow
 

@@ -15,7 +15,7 @@ from functools import cache, partial
 from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import FRICTION_FOLDS, rms
-from gms_flex_control.identification.coordinates import DROP
+from gms_flex_control.identification.coordinates import DROP, log_odds
 from gms_flex_control.identification.least_squares import fit_torque, prior_of, refine, TorqueError
 from gms_flex_control.identification.objective import (
     coarser,
@@ -50,6 +50,7 @@ _COARSE = 8e-3        # [s]
 _YIELDS = (2.0, 0.2, 0.6, 10.0, 50.0)  # of the simple one's block, in encoder steps
 _SHORT = 60.0         # data in which one part held out is too little to choose by [s]
 WORTH = 0.97         # of the error: a fit that is no better is not chosen
+_NOT_WORSE = 1.0 / WORTH  # than another in one of its errors
 NEXT_TO_NOTHING = 0.05  # of the friction torque
 _FAR, _LITTLE = 0.7, 1.3  # of the errors of the innovations: where torque decides after all
 _LEVEL_SD = 0.3       # of the logarithm of Coulomb friction
@@ -83,12 +84,12 @@ class _Squares(NamedTuple):
 
 
 def choose_fit(objective: Objective, fit: JointFit, step: float) -> Choice:
-    """Return the Choice of a joint: none that is worse than the simple one in either error."""
+    """Return the Choice of a joint: none that is not better than the simple one as a whole."""
     criteria = _criteria_of(objective, fit, step)
-    usual = criteria.wins(criteria.by_innovations)
+    usual = criteria.wins(criteria.by_innovations, _NOT_WORSE)
     if usual and criteria.left() < NEXT_TO_NOTHING:
         return Choice(INNOVATIONS, fit, None)
-    other = criteria.wins(criteria.by_torque)
+    other = criteria.wins(criteria.by_torque, WORTH)  # its parameters are not friction's alone
     if usual and not (other and criteria.clearly_better()):
         return Choice(INNOVATIONS, fit, None)
     return criteria.finished(TORQUE if other else SIMPLE)
@@ -135,9 +136,13 @@ class _Criteria:
         return any((chosen(segment) & bundle.judged(segment, joint, self._step)).any()
                    for segment in bundle.segments)
 
-    def wins(self, fitted) -> bool:
-        """Return whether ``fitted``, _Look -> Coordinates and free numbers, passes all trials."""
-        return all(self._passes(trial, fitted) for trial in self.trials)
+    def wins(self, fitted, limit) -> bool:
+        """
+        Return whether ``fitted``, _Look -> Coordinates and free numbers, passes all trials.
+
+        Neither of its errors may reach ``limit`` times that of the simple one.
+        """
+        return all(self._passes(trial, fitted, limit) for trial in self.trials)
 
     def left(self) -> float:
         """Return the part of the friction torque held out that the fit leaves."""
@@ -145,11 +150,13 @@ class _Criteria:
         left = error(self._fit.coordinates.parameters(self._fit.held))
         return float(rms(left) / rms(error.measured))
 
-    def _passes(self, looks, fitted):
+    def _passes(self, looks, fitted, limit):
         penalty = self._penalty(looks[0])
         found, least = ([self._squares(look, *one(look)) for look in looks]
                         for one in (fitted, self.simple))
-        if not penalty * np.nanmax(_ratios(found, least)) < WORTH:
+        ratios = penalty * _ratios(found, least)
+        together = np.exp(np.nanmean(np.log(ratios)))  # as discovery compares
+        if not (together < WORTH and np.nanmax(ratios) < limit):
             return False
         # less torque is missed than blocks differ by; free runs do not say so
         own, torque = least[0].torque, penalty ** 2 * found[0].torque
@@ -249,7 +256,7 @@ def _levelled(free, plain):
     for at in (0, PER_DIRECTION):
         level[at + VISCOUS] = plain[at + VISCOUS]
         level[at] = plain[at]
-        level[at + 1] = plain[at] + np.log(DROP)
+        level[at + 1] = log_odds(DROP)
     return level
 
 
