@@ -19,10 +19,8 @@ from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.result import Discrepancy
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.identification import identify as identification
-from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.outcome import Identification
 from gms_flex_control.identification.output import report_json
-from gms_flex_control.identification.recording_checks import moving
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
@@ -250,13 +248,8 @@ def identify(recordings: Sequence[Recorded], robot: RobotParams | None = None, *
     default blocks of time are. ``say`` gets a line of progress now and then. IdentificationError
     if the data cannot determine the friction.
     """
-    described = robot is not None
-    if robot is None:
-        robot = rigid_joints(moving([
-            one[0] if isinstance(one, tuple) else one for one in recordings]))
-        options = replace(options or identification.IdentifyOptions(), estimate='all')
-    return IdentificationResult(**_fields(replace(identification.identify(
-        recordings, robot, holdouts=holdouts, options=options, say=say), described=described)))
+    return IdentificationResult(**_fields(identification.identify(
+        recordings, robot, holdouts=holdouts, options=options, say=say)))
 
 
 def find_discrepancy(recordings: Sequence[Recording], robot: RobotParams,

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """The verbs on recordings of a robot: `import-csv`, `analyse`, `identify`, `discrepancy`."""
 
-from dataclasses import replace
 from functools import partial
 import json
 from pathlib import Path
@@ -15,7 +14,12 @@ from gms_flex_control.data.conditions import NAME, UNKNOWN
 from gms_flex_control.data.csv_import import currents_in, sliding
 from gms_flex_control.data.csv_import import import_csv as read_csv
 from gms_flex_control.data.csv_map import load_map
-from gms_flex_control.data.reader import joint_names, read_experiment_of, read_recording
+from gms_flex_control.data.reader import (
+    joint_names,
+    read_experiment,
+    read_experiment_of,
+    read_recording,
+)
 from gms_flex_control.data.recording import link_names
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.discrepancy.compared import as_found, compare, segment_of, with_closed_loop
@@ -29,7 +33,7 @@ from gms_flex_control.identification import output
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
 from gms_flex_control.identification.identify import identify, IdentifyOptions
-from gms_flex_control.identification.recording_checks import check, moving
+from gms_flex_control.identification.recording_checks import check
 from gms_flex_control.identification.sampling_checks import doubtful_columns
 from gms_flex_control.params.arm import in_currents, in_units_of
 from gms_flex_control.params.gains import COMPENSATIONS
@@ -97,8 +101,7 @@ def analyse(args) -> int:
     runs = [TrackingRun(*label, read_recording(bag, args.joints, args.motors))
             for bag, label in zip(args.bags, labels, strict=True)]
     _refuse_without_reference(runs)
-    axes = {_remarks(bag).get('axes', 'rotary') for bag in args.bags}
-    words = partial(in_units_of, axes.pop() if len(axes) == 1 else 'rotary')
+    words = partial(in_units_of, _axes_of(args.bags))
     table = recordings_page.write_tracking_report(runs, args.out, words=words)
     return end(args, recordings_page.table_values(table, words), table.text(), table.answer(),
                {'report': Path(args.out) / 'report.html'}, words)
@@ -114,6 +117,12 @@ def _refuse_without_reference(runs):
         raise BagError(f'{", ".join(without)}: {sentence}')
     for source in without:
         warnings.warn(f'{source}: {sentence}', stacklevel=2)
+
+
+def _axes_of(bags):
+    """Return 'linear' where the import of all bags says so, else 'rotary'."""
+    axes = {_remarks(bag).get('axes', 'rotary') for bag in bags}
+    return 'linear' if axes == {'linear'} else 'rotary'
 
 
 def _remarks(bag):
@@ -159,13 +168,16 @@ def identify_bags(args) -> int:
 
 def _written(args, options):
     """Return the Identification of the bags fitted together, its files written to --out."""
-    robot, described = _robot_of(args), args.robot is not None
-    recordings, apart = ([read_experiment_of(path, robot, not described) for path in paths]
-                         for paths in (args.bags, args.holdout))
-    if not (described or args.joints):
-        robot = only_joints(robot, moving([one for one, _ in recordings]))
-    found = replace(identify(recordings, robot, holdouts=apart, options=options,
-                             say=progress(args)), described=described)
+    robot = None if args.robot is None else load_robot(args.robot, to_identify=True)
+    if robot is not None and args.joints:
+        robot = only_joints(robot, args.joints)
+    if robot is None:
+        read = partial(read_experiment,
+                       joints=args.joints or link_names(joint_names(args.bags[0])))
+    else:
+        read = partial(read_experiment_of, robot=robot)
+    recordings, apart = (list(map(read, paths)) for paths in (args.bags, args.holdout))
+    found = identify(recordings, robot, holdouts=apart, options=options, say=progress(args))
     out = Path(args.out)
     with written_together():
         output.write_friction(found, out / 'friction.yaml')
@@ -176,29 +188,15 @@ def _written(args, options):
 
 
 def _options_of(args):
-    chosen = {'force': args.force, 'widened': args.widen,
-              'estimate': 'all' if args.robot is None else args.estimate}
+    chosen = {'force': args.force, 'widened': args.widen, 'estimate': args.estimate}
+    if args.robot is None:
+        chosen |= {'joints': tuple(args.joints or ()), 'axes': _axes_of(args.bags)}
     if args.blocks:
         wrong = [n for n in args.blocks if not 1 <= n <= MOST_BLOCKS]
         if wrong:
             raise ConfigError(f'--blocks {wrong[0]}: give numbers from 1 to {MOST_BLOCKS}')
         chosen['blocks'] = tuple(sorted(set(args.blocks)))
     return IdentifyOptions(**chosen)
-
-
-def _robot_of(args):
-    """Return the robot of the arguments; without a file, rigid axes named as in the bag."""
-    if args.robot is None:
-        return _axes_of(args.bags, args.joints or link_names(joint_names(args.bags[0])))
-    robot = load_robot(args.robot, to_identify=True)
-    return only_joints(robot, args.joints) if args.joints else robot
-
-
-def _axes_of(bags, joints):
-    """Return rigid axes of these names, linear where the import of all bags says so."""
-    robot = rigid_joints(joints)
-    axes = {_remarks(bag).get('axes', 'rotary') for bag in bags}
-    return replace(robot, arm=replace(robot.arm, axes='linear')) if axes == {'linear'} else robot
 
 
 def discrepancy_verb(args) -> int:

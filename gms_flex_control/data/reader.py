@@ -57,9 +57,9 @@ def read_experiment(path, joints=None, motors=None) -> tuple:
                             for phase in sorted(phases, key=lambda phase: phase.time_ns))
 
 
-def read_experiment_of(path, robot, guess_motors: bool = False) -> tuple:
-    """Return a bag as (Recording, phases), motors by their names in the bag if to be guessed."""
-    return read_experiment(path, robot.joints, None if guess_motors else motors_in(path, robot))
+def read_experiment_of(path, robot) -> tuple:
+    """Return a bag of a robot as (Recording, phases)."""
+    return read_experiment(path, robot.joints, motors_in(path, robot))
 
 
 def motors_in(path, robot) -> tuple[str, ...]:

@@ -13,7 +13,13 @@ from gms_flex_control.identification.criterion import NEXT_TO_NOTHING, WORTH
 from gms_flex_control.identification.friction_fit import fit_beside
 from gms_flex_control.identification.outcome import Identification
 from gms_flex_control.identification.problem import Problem
-from gms_flex_control.identification.recording_checks import OF_ALL, of_all, require, standing
+from gms_flex_control.identification.recording_checks import (
+    moving,
+    OF_ALL,
+    of_all,
+    require,
+    standing,
+)
 from gms_flex_control.identification.selection import CANDIDATES
 from gms_flex_control.identification.unseen_links import (
     driven_by_motors,
@@ -34,9 +40,10 @@ class IdentifyOptions:
     widened: float = 1.0         # standard deviations of the arm's parameters, times the usual
     joints: tuple = ()           # that are fitted, () all: that of others is right, or, where
     #                              the arm is estimated as well, they are left out
+    axes: str = 'rotary'         # or 'linear': of joints of which nothing is known
 
 
-def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
+def identify(recordings: Sequence, robot: RobotParams | None = None, *, holdouts: Sequence = (),
              options: IdentifyOptions | None = None,
              say: Callable[[str], object] | None = None) -> Identification:
     """
@@ -46,9 +53,10 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
     ----------
     recordings : sequence of Recording or (Recording, sequence of Phase)
         What was recorded, and what the experiment was doing if that is known.
-    robot : RobotParams
+    robot : RobotParams, optional
         The robot as described; its inertia, stiffness and gravity are as sure as its
-        `uncertainty` says, its friction is to be found.
+        `uncertainty` says, its friction is to be found. Without it each joint is a rigid axis of
+        which nothing is known and all is estimated; those that stand still are left out.
     holdouts : sequence of Recording or (Recording, sequence of Phase)
         Recordings to predict only; by default blocks of time are held out.
     options : IdentifyOptions, optional
@@ -73,6 +81,9 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
     identities = tuple(one.identity for one, _ in recordings)
     with own_warnings() as caught, in_one_thread():  # joints have threads of their own
         say('checking the data')
+        described = robot is not None
+        if not described:
+            robot, options = _unknown_axes(recordings, options), replace(options, estimate='all')
         whole = options.estimate == 'all'
         if whole and options.joints:
             robot, options = assumed_robot.only_joints(robot, options.joints), replace(
@@ -107,10 +118,10 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
             warnings.warn(words, stacklevel=2)
         say('intervals and errors on data held out')
         joints, others, arm = problem.results(fits)
-    described = replace(arm, uncertainty=robot.uncertainty) if whole else robot
+    rigid_body = replace(arm, uncertainty=robot.uncertainty) if whole else robot
     return Identification(
-        robot=problem.with_friction(replace(described, identified_from=identities), fits),
-        believed=robot,
+        robot=problem.with_friction(replace(rigid_body, identified_from=identities), fits),
+        believed=robot, described=described,
         joints=joints, others=others, sources=tuple(one.source for one, _ in recordings),
         holdouts=tuple(one.source for one, _ in holdouts),
         duration=float(sum(one.time[-1] - one.time[0] for one, _ in recordings)),
@@ -118,6 +129,13 @@ def identify(recordings: Sequence, robot: RobotParams, *, holdouts: Sequence = (
         warnings=tuple(dict.fromkeys(str(item.message) for item in caught)),
         seconds=time.monotonic() - begin, currents=currents,
         spread=problem.arm_fit.spread if whole else None, **problem.found_beside(robot.joints))
+
+
+def _unknown_axes(recordings, options):
+    """Return a robot of the axes that are asked for, by default of all that move."""
+    robot = assumed_robot.rigid_joints(
+        options.joints or moving([one for one, _ in recordings]))
+    return replace(robot, arm=replace(robot.arm, axes=options.axes))
 
 
 def _checked(recording, model, options):

@@ -380,8 +380,8 @@ def moving(recordings: Sequence[Recording]) -> list[str]:
     """Return the joints that move in any of the recordings; a warning names the others."""
     still = standing(recordings)
     if still:
-        warnings.warn(f'{", ".join(one.source for one in recordings)}: {", ".join(still)} stand '
-                      'still: left out', stacklevel=2)
+        warnings.warn(f'{", ".join(one.source for one in recordings)}: no motion of '
+                      f'{", ".join(still)}: left out', stacklevel=2)
     return [joint for joint in recordings[0].joints if joint not in still]
 
 
