@@ -1,6 +1,7 @@
 # Copyright 2026 The gms_flex_control authors; Apache License, Version 2.0.
 """Arms in space in which something is hidden: how they move, and how answers are judged."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 from bench.hidden_arms.hidden_arms import (
@@ -17,10 +18,13 @@ from bench.hidden_arms.plant import Hidden, recording_of
 from gms_flex_control.discrepancy.gap import free_runs
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.effects.table import with_changes
+from gms_flex_control.identification.identify import identify
+from gms_flex_control.schema.files import load_robot
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
 
+ROOT = Path(__file__).parents[2]
 GAIN, SLOPE = ('torque_gain', 'joint2'), ('viscous_error', 'joint3')
 
 
@@ -82,6 +86,16 @@ def test_friction_by_load_of_a_rigid_wrist_is_no_torque_constant():
     outcome = try_job(Job('light', 'single', 7100, 20.0))
     assert outcome.hidden.startswith('load_friction joint5')
     assert outcome.right and outcome.free_ratio < 0.1
+
+
+def test_friction_of_a_heavy_arm_is_not_lost_in_noise_of_accelerations_that_are_computed():
+    """Noise of a drive moves the link that is computed with it."""
+    robot = load_robot(ROOT / 'examples' / 'industrial_arm' / 'robot.yaml')
+    found = identify([recording_of(robot, robot, seconds=20.0, noise=0.06, motors_only=True,
+                                   seed=7601)], robot)
+    for side in ('forward', 'backward'):
+        own, true = (getattr(one.friction, side).coulomb for one in (found.robot, robot))
+        assert own == pytest.approx(true, rel=0.05)
 
 
 def test_effects_that_are_parameters_change_the_robot():
