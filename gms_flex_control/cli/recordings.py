@@ -168,13 +168,12 @@ def identify_bags(args) -> int:
 
 def _written(args, options):
     """Return the Identification of the bags fitted together, its files written to --out."""
-    robot = None if args.robot is None else load_robot(args.robot, to_identify=True)
-    if robot is not None and args.joints:
-        robot = only_joints(robot, args.joints)
-    if robot is None:
-        read = partial(read_experiment,
-                       joints=args.joints or link_names(joint_names(args.bags[0])))
+    if args.robot is None:
+        robot, joints = None, args.joints or link_names(joint_names(args.bags[0]))
+        read = partial(read_experiment, joints=joints)
     else:
+        robot = load_robot(args.robot, to_identify=True)
+        robot = only_joints(robot, args.joints) if args.joints else robot
         read = partial(read_experiment_of, robot=robot)
     recordings, apart = (list(map(read, paths)) for paths in (args.bags, args.holdout))
     found = identify(recordings, robot, holdouts=apart, options=options, say=progress(args))

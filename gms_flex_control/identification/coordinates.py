@@ -5,8 +5,7 @@ The numbers a fit moves, and the friction parameters of one joint that they stan
 All are free of bounds: logarithms of what must be positive, of the yield displacement of each
 block instead of its stiffness, log-ratios of the weights, and in the place of F_s the log-odds of
 the drop F_s - F_c within the largest there may be: friction does not vanish at speed. A block's
-stiffness is then ``k_i = alpha_i F_s / yield_i``, F_s the mean of both
-directions.
+stiffness is then ``k_i = alpha_i F_s / yield_i``, F_s the mean of both directions.
 """
 
 from collections.abc import Sequence
@@ -64,8 +63,8 @@ class Coordinates:
         drop = np.maximum(np.subtract(static, coulomb), 1e-3 * np.asarray(coulomb))
         drop /= coulomb + _FADED * np.multiply(velocity, viscous)
         for k in range(2):
-            free[of_direction(k)] = np.log([coulomb[k], 1.0, velocity[k], viscous[k]])
-            free[of_direction(k)][1] = log_odds(drop[k])
+            free[of_direction(k)] = (np.log(coulomb[k]), log_odds(drop[k]), np.log(velocity[k]),
+                                     np.log(viscous[k]))
         free[N_STEADY - 1] = np.log(attraction)
         if self._fixed is None:
             free[self.yields] = np.log(yields)
@@ -84,12 +83,8 @@ class Coordinates:
         rows = parameter_rows(MOST_BLOCKS, self.n_extra)
         theta, directions = np.zeros(rows), np.zeros((rows, self.size))
         for k in range(2):
-            at, numbers = PER_DIRECTION * k, of_direction(k)
-            coulomb, _, velocity, viscous = np.exp(free[numbers])
-            for row, value, column in ((COULOMB, coulomb, 0), (VELOCITY, velocity, 2),
-                                       (VISCOUS, viscous, 3)):
-                theta[at + row] = directions[at + row, at + column] = value
-            theta[at + STATIC], directions[at + STATIC, numbers] = _static(free[numbers])
+            way = of_direction(k)
+            theta[way], directions[way, way] = _curve(free[way])
         theta[ATTRACTION] = directions[ATTRACTION, N_STEADY - 1] = np.exp(free[N_STEADY - 1])
         self._unpack_blocks(free, theta, directions)
         at = BLOCKS + 2 * MOST_BLOCKS
@@ -123,18 +118,18 @@ def log_odds(drop) -> np.ndarray:
     return np.log(drop / (LARGEST_DROP - drop))
 
 
-def _static(free):
-    """Return F_s of the free numbers (4,) of a Stribeck curve, and its derivatives (4,)."""
-    coulomb, _, velocity, viscous = np.exp(free)
-    share, sliding = expit(free[1]), _FADED * velocity * viscous
-    part = LARGEST_DROP * share
+def _curve(free):
+    """Return parameters (4,) of the free numbers (4,) of a Stribeck curve, and their Jacobian."""
+    (coulomb, velocity, viscous), share = np.exp(free[[0, 2, 3]]), expit(free[1])
+    part, sliding = LARGEST_DROP * share, _FADED * velocity * viscous
     drop = part * (coulomb + sliding)
-    return coulomb + drop, (coulomb + part * coulomb, (1.0 - share) * drop, part * sliding,
-                            part * sliding)
+    return np.array([coulomb + drop, coulomb, velocity, viscous]), np.array([
+        [coulomb + part * coulomb, (1.0 - share) * drop, part * sliding, part * sliding],
+        [coulomb, 0.0, 0.0, 0.0], [0.0, 0.0, velocity, 0.0], [0.0, 0.0, 0.0, viscous]])
 
 
 def of_direction(way: int) -> slice:
-    """Return where the free numbers of a Stribeck curve stand, ``way`` 0 forward, 1 backward."""
+    """Return where numbers of a Stribeck curve stand, free or not; ``way`` 1 is backward."""
     return slice(4 * way, 4 * way + 4)
 
 
@@ -154,7 +149,7 @@ def with_narrow_curves(free: np.ndarray, velocity: float) -> np.ndarray:
     narrow, levels = free.copy(), []
     for way in range(2):
         numbers = of_direction(way)
-        levels.append(np.log(_static(free[numbers])[0]))
+        levels.append(np.log(_curve(free[numbers])[0][STATIC]))
         narrow[numbers] = levels[-1], log_odds(DROP), np.log(velocity), free[numbers][3]
     narrow[N_STEADY - 1] = np.mean(levels) - np.log(LAG)
     return narrow

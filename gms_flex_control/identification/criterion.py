@@ -84,7 +84,7 @@ class _Squares(NamedTuple):
 
 
 def choose_fit(objective: Objective, fit: JointFit, step: float) -> Choice:
-    """Return the Choice of a joint: none that is not better than the simple one as a whole."""
+    """Return the Choice of a joint: the simple one unless another is better as a whole."""
     criteria = _criteria_of(objective, fit, step)
     usual = criteria.wins(criteria.by_innovations, _NOT_WORSE)
     if usual and criteria.left() < NEXT_TO_NOTHING:

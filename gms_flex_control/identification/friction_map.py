@@ -138,9 +138,10 @@ def _fit_stribeck(velocity, torque):
         return coulomb + drop * np.exp(-fading(x)) + viscous * velocity - torque
 
     def derivatives(x):
-        decay = np.exp(-fading(x))
+        faded = fading(x)
+        decay = np.exp(-faded)
         return level * np.stack([1.0 + x[1] * decay, x[0] * decay,
-                                 2.0 * x[0] * x[1] * fading(x) * decay, velocity / top], axis=1)
+                                 2.0 * x[0] * x[1] * faded * decay, velocity / top], axis=1)
 
     def fading(x):
         return np.minimum((velocity / np.exp(x[2])) ** 2, 50.0)

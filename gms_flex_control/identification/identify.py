@@ -13,13 +13,7 @@ from gms_flex_control.identification.criterion import NEXT_TO_NOTHING, WORTH
 from gms_flex_control.identification.friction_fit import fit_beside
 from gms_flex_control.identification.outcome import Identification
 from gms_flex_control.identification.problem import Problem
-from gms_flex_control.identification.recording_checks import (
-    moving,
-    OF_ALL,
-    of_all,
-    require,
-    standing,
-)
+from gms_flex_control.identification.recording_checks import OF_ALL, of_all, require, standing
 from gms_flex_control.identification.selection import CANDIDATES
 from gms_flex_control.identification.unseen_links import (
     driven_by_motors,
@@ -132,9 +126,14 @@ def identify(recordings: Sequence, robot: RobotParams | None = None, *, holdouts
 
 
 def _unknown_axes(recordings, options):
-    """Return a robot of the axes that are asked for, by default of all that move."""
-    robot = assumed_robot.rigid_joints(
-        options.joints or moving([one for one, _ in recordings]))
+    """Return a robot of axes asked for, by default of those that move; others are warned of."""
+    recordings = [one for one, _ in recordings]
+    still = () if options.joints else standing(recordings)
+    if still:
+        warnings.warn(f'{", ".join(one.source for one in recordings)}: no motion of '
+                      f'{", ".join(still)}: left out', stacklevel=3)
+    robot = assumed_robot.rigid_joints(options.joints or [
+        joint for joint in recordings[0].joints if joint not in still])
     return replace(robot, arm=replace(robot.arm, axes=options.axes))
 
 

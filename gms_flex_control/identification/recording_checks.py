@@ -31,7 +31,6 @@ coupling            coupled motors on an arm that is not one of a URDF
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
-import warnings
 
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import friction_columns, is_moving, quantum, sign_fit
@@ -374,15 +373,6 @@ def standing(recordings: Sequence[Recording]) -> tuple[str, ...]:
              if fault.kind == 'still' and not any(np.isfinite(
                  one.q_motor[:, joints.index(fault.joint)]).any() for one in recordings)}
     return tuple(joint for joint in joints if joint in still) if still < {*joints} else ()
-
-
-def moving(recordings: Sequence[Recording]) -> list[str]:
-    """Return the joints that move in any of the recordings; a warning names the others."""
-    still = standing(recordings)
-    if still:
-        warnings.warn(f'{", ".join(one.source for one in recordings)}: no motion of '
-                      f'{", ".join(still)}: left out', stacklevel=2)
-    return [joint for joint in recordings[0].joints if joint not in still]
 
 
 def require(recording: Recording, robot: RobotParams, force=False, rough=False) -> list:
